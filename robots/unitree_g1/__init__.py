@@ -1,0 +1,5 @@
+"""Unitree G1, 29 actuated joints."""
+
+from .model import UNITREE_G1
+
+__all__ = ["UNITREE_G1"]

@@ -1,0 +1,196 @@
+"""Unitree G1: the constants of the robot, and its `MjSpec` from `g1.urdf`.
+
+The URDF says what Unitree publishes (frames, masses, limits, shapes). This module adds what a URDF cannot say:
+reflected motor inertia, gains, contact rules, the default pose and the sensors.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+
+from humoslope.scene.robot import Robot
+from humoslope.scene.sensors import add_robot_sensors
+
+URDF = Path(__file__).with_name("g1.urdf")
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What moves a joint: armature in kg m^2 and largest torque in Nm, both at the joint, summed over its motors."""
+
+    armature: float
+    effort: float
+
+    @property
+    def stiffness(self) -> float:
+        """Position gain that gives the bare armature a natural frequency of 10 Hz, Nm/rad."""
+        return self.armature * NATURAL_FREQUENCY**2
+
+    @property
+    def damping(self) -> float:
+        """Velocity gain that damps the bare armature twice critically, Nm s/rad."""
+        return 2.0 * DAMPING_RATIO * self.armature * NATURAL_FREQUENCY
+
+    @property
+    def action_scale(self) -> float:
+        """Joint offset at which the spring alone gives a quarter of the largest torque, rad."""
+        return 0.25 * self.effort / self.stiffness
+
+
+NATURAL_FREQUENCY = 2.0 * math.pi * 10.0  # rad/s
+DAMPING_RATIO = 2.0  # the limb adds inertia to the armature, so the joint itself ends up less damped than this
+
+# Unitree's motors by their published names.
+M7520_14 = Drive(armature=0.01017752, effort=88.0)
+M7520_22 = Drive(armature=0.025101925, effort=139.0)
+M5020 = Drive(armature=0.00360972, effort=25.0)
+M4010 = Drive(armature=0.00425, effort=5.0)
+M5020_PAIR = Drive(armature=2 * M5020.armature, effort=2 * M5020.effort)  # two motors on a parallel linkage
+
+LEG = {
+    "hip_pitch": M7520_14,
+    "hip_roll": M7520_22,
+    "hip_yaw": M7520_14,
+    "knee": M7520_22,
+    "ankle_pitch": M5020_PAIR,
+    "ankle_roll": M5020_PAIR,
+}
+WAIST = {"waist_yaw": M7520_14, "waist_roll": M5020_PAIR, "waist_pitch": M5020_PAIR}
+ARM = {
+    "shoulder_pitch": M5020,
+    "shoulder_roll": M5020,
+    "shoulder_yaw": M5020,
+    "elbow": M5020,
+    "wrist_roll": M5020,
+    "wrist_pitch": M4010,
+    "wrist_yaw": M4010,
+}
+
+# In the order of Unitree's SDK: left leg, right leg, waist, left arm, right arm.
+DRIVES = {
+    **{f"{side}_{part}_joint": drive for side in SIDES for part, drive in LEG.items()},
+    **{f"{part}_joint": drive for part, drive in WAIST.items()},
+    **{f"{side}_{part}_joint": drive for side in SIDES for part, drive in ARM.items()},
+}
+
+# Joints away from zero when standing with bent knees, rad.
+KNEES_BENT = {
+    **{f"{side}_hip_pitch_joint": -0.312 for side in SIDES},
+    **{f"{side}_knee_joint": 0.669 for side in SIDES},
+    **{f"{side}_ankle_pitch_joint": -0.363 for side in SIDES},
+    **{f"{side}_shoulder_pitch_joint": 0.2 for side in SIDES},
+    "left_shoulder_roll_joint": 0.2,
+    "right_shoulder_roll_joint": -0.2,
+    **{f"{side}_elbow_joint": 0.6 for side in SIDES},
+}
+
+# Sole centre in the ankle roll link, m: midway along the sole, at the height of the spheres' lowest points.
+SOLE_CENTRE = (0.04, 0.0, -0.035)
+
+# name: (body, position in the body, m)
+SITES = {
+    "imu_in_pelvis": ("pelvis", (0.04525, 0.0, -0.08339)),
+    "imu_in_torso": ("torso_link", (-0.03959, -0.00224, 0.14792)),
+    "left_foot": ("left_ankle_roll_link", SOLE_CENTRE),
+    "right_foot": ("right_ankle_roll_link", SOLE_CENTRE),
+}
+
+FOOT_FRICTION = (0.8, 0.005, 0.0001)  # sliding; then torsional and rolling, which condim 3 leaves unused
+COLLISION_GROUP = 3
+VISUAL_GROUP = 2
+
+
+def make_spec() -> mujoco.MjSpec:
+    """Builds the robot on a free joint, with actuators, sensors and the `knees_bent` keyframe, and no ground."""
+    spec = mujoco.MjSpec.from_string(URDF.read_text(encoding="utf-8"))
+    _set_options(spec)
+    # Before compiling: a root without joint would become part of the world, and its mass would be lost.
+    spec.body(UNITREE_G1.root_body).add_freejoint(name="floating_base")
+    for name, (body, pos) in SITES.items():
+        spec.body(body).add_site(name=name, pos=pos)
+    for body in spec.bodies:
+        for geom in body.geoms:
+            _set_geom(geom, body.name)
+    for name, drive in DRIVES.items():
+        _add_drive(spec, name, drive)
+    add_robot_sensors(spec, UNITREE_G1)
+    qpos = [0.0, 0.0, UNITREE_G1.default_root_height, 1.0, 0.0, 0.0, 0.0, *UNITREE_G1.default_joint_pos]
+    spec.add_key(name="knees_bent", qpos=qpos, ctrl=UNITREE_G1.default_joint_pos)
+    return spec
+
+
+def _set_options(spec: mujoco.MjSpec) -> None:
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    spec.option.timestep = 0.005
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # With a pyramidal cone a foot slips earlier in some headings than in others, which biases steep slopes.
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 1.0
+    spec.option.iterations = 10
+    spec.option.ls_iterations = 20
+
+
+def _set_geom(geom: mujoco.MjsGeom, body: str) -> None:
+    """Sorts shapes into drawn ones and touching ones, by name: only collision shapes are named in the URDF.
+
+    The ground (contype 1, conaffinity 1) meets every collision shape. Of the robot's own pairs only the left shin and
+    foot meet the right shin and foot: crossed legs are what goes wrong in walking, and every other pair costs time.
+    """
+    if not geom.name:
+        geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, 0, 0
+        return
+    geom.group, geom.contype, geom.conaffinity, geom.condim = COLLISION_GROUP, 0, 1, 1
+    if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+    if body in ("left_knee_link", "left_ankle_roll_link"):
+        geom.contype = 2
+    if body in ("right_knee_link", "right_ankle_roll_link"):
+        geom.conaffinity = 1 | 2
+    if body in UNITREE_G1.foot_bodies:
+        # Priority makes the foot's friction the contact's, so that one number sets it whatever the ground.
+        geom.condim, geom.priority, geom.friction = 3, 1, FOOT_FRICTION
+
+
+def _add_drive(spec: mujoco.MjSpec, name: str, drive: Drive) -> None:
+    joint = spec.joint(name)
+    joint.armature = drive.armature
+    joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the actuator's own limit says the same once
+    spec.add_actuator(
+        name=name,
+        target=name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        gainprm=[drive.stiffness] + [0.0] * 9,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        biasprm=[0.0, -drive.stiffness, -drive.damping] + [0.0] * 7,
+        forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        forcerange=[-drive.effort, drive.effort],
+    )
+
+
+UNITREE_G1 = Robot(
+    name="unitree_g1",
+    make_spec=make_spec,
+    root_body="pelvis",
+    torso_body="torso_link",
+    imu_site="imu_in_pelvis",
+    foot_bodies=("left_ankle_roll_link", "right_ankle_roll_link"),
+    foot_sites=("left_foot", "right_foot"),
+    foot_geoms=(
+        tuple(f"left_foot{i}_collision" for i in range(1, 5)),
+        tuple(f"right_foot{i}_collision" for i in range(1, 5)),
+    ),
+    joint_names=tuple(DRIVES),
+    default_joint_pos=tuple(KNEES_BENT.get(name, 0.0) for name in DRIVES),
+    default_root_height=0.757,  # the heels just touch; Unitree starts at 0.76
+    action_scale=tuple(drive.action_scale for drive in DRIVES.values()),
+    stiffness=tuple(drive.stiffness for drive in DRIVES.values()),
+    damping=tuple(drive.damping for drive in DRIVES.values()),
+    effort_limit=tuple(drive.effort for drive in DRIVES.values()),
+    total_mass=33.341142,
+)

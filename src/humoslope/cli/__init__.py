@@ -1,0 +1,49 @@
+"""The command line: one file per verb."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from importlib import import_module
+
+from humoslope.errors import UserError, unknown
+
+VERBS = {
+    "train": "Train a task.",
+    "list": "List the registered tasks and terrains.",
+    "terrain": "Draw a terrain to a PNG.",
+    "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
+    "curve": "Draw the learning curve of a run.",
+    "bench": "Measure speed and memory.",
+}
+"""Each verb is `run(arguments)` in the module of its name."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs a verb. A user's mistake is one sentence on the error stream and exit code 2."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments or arguments[0] in ("-h", "--help"):
+        _print_help()
+        return 0
+    verb, rest = arguments[0], arguments[1:]
+    try:
+        if verb not in VERBS:
+            raise unknown("verb", verb, VERBS)
+        run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
+        run(rest)
+    except UserError as error:
+        print(f"humoslope: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("humoslope: interrupted.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 1
+    return 0
+
+
+def _print_help() -> None:
+    width = max(map(len, VERBS))
+    print("humoslope VERB [...]; humoslope VERB --help tells more.\n")
+    for verb, line in VERBS.items():
+        print(f"  {verb:<{width}}  {line}")

@@ -1,0 +1,96 @@
+"""Any field of a configuration as a command-line option.
+
+tyro needs a type whose fields it can list. Configurations hold named terms and free parameters as well as dataclasses, so a dataclass
+with the same structure is made from the values themselves, shown to tyro, and what came back is written into the configuration.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from humoslope.managers.terms import Terms
+
+PLAIN = (bool, int, float, str)
+
+
+def mirror_type(name: str, value: Any) -> tuple[type, Any] | None:
+    """A dataclass type with the fields of `value` that can be written on a command line, and an instance with its values.
+
+    None if there are none.
+    """
+    fields: list[tuple[str, Any, Any]] = []
+    values: dict[str, Any] = {}
+    for key, child in _children(value).items():
+        annotation = _annotation(child)
+        if annotation is not None:
+            fields.append((key, annotation, dataclasses.field(default=child)))
+            values[key] = child
+            continue
+        nested = mirror_type(f"{name}_{key}", child)
+        if nested is not None:
+            fields.append((key, nested[0], dataclasses.field(default=nested[1])))
+            values[key] = nested[1]
+    if not fields:
+        return None
+    made = dataclasses.make_dataclass(name, fields, frozen=True)
+    return made, made(**values)
+
+
+def write_back(value: Any, mirror: Any) -> None:
+    """Writes the fields of `mirror`, made by `mirror_type`, into the configuration `value`."""
+    for field in dataclasses.fields(mirror):
+        new = getattr(mirror, field.name)
+        old = _children(value)[field.name]
+        if _annotation(old) is None:
+            if dataclasses.is_dataclass(old) and not isinstance(old, type) and old.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+                _set(value, field.name, _replaced(old, new))
+            else:
+                write_back(old, new)
+        elif new != old:
+            _set(value, field.name, new)
+
+
+def _replaced(old: Any, mirror: Any) -> Any:
+    changes = {f.name: getattr(mirror, f.name) for f in dataclasses.fields(mirror)}
+    plain = {k: v for k, v in changes.items() if _annotation(getattr(old, k)) is not None}
+    changed = dict(plain)
+    for name in changes.keys() - plain.keys():
+        mapping = getattr(old, name)
+        changed[name] = dict(mapping) | {_keys(mapping)[k]: v for k, v in dataclasses.asdict(changes[name]).items()}
+    return dataclasses.replace(old, **changed) if any(getattr(old, k) != v for k, v in changed.items()) else old
+
+
+def _set(value: Any, key: str, new: Any) -> None:
+    if isinstance(value, dict):
+        value[_keys(value)[key]] = new
+    else:
+        setattr(value, key, new)
+
+
+def _children(value: Any) -> dict[str, Any]:
+    if isinstance(value, Terms):
+        return dict(value.items())
+    if isinstance(value, dict):
+        return {field: value[key] for field, key in _keys(value).items()}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+    return {}
+
+
+def _keys(mapping: dict[str, Any]) -> dict[str, str]:
+    """Field names for the keys of a mapping: "ramp-up" becomes ramp_up, as a Python name and as an option."""
+    return {key.replace("-", "_"): key for key in mapping if key.replace("-", "_").isidentifier()}
+
+
+def _annotation(value: Any) -> Any:
+    """The type of a value that can be written on a command line, or None."""
+    if isinstance(value, PLAIN):
+        return type(value)
+    if isinstance(value, tuple) and value and all(isinstance(v, PLAIN) for v in value):
+        kinds = {type(v) for v in value}
+        if len(kinds) > 1:
+            return None
+        kind = kinds.pop()
+        return tuple[kind, ...] if kind is int else tuple[tuple([kind] * len(value))]  # type: ignore[valid-type]
+    return None

@@ -1,0 +1,258 @@
+"""The environment: many worlds of one robot on one terrain, driven by managers."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+import torch
+from rich.console import Console
+from tensordict import TensorDict
+from torch import Tensor
+
+from humoslope.errors import UserError
+from humoslope.managers import (
+    ActionManager,
+    CommandManager,
+    CurriculumManager,
+    EventManager,
+    EventTerm,
+    JointPositionAction,
+    Log,
+    ObservationGroup,
+    ObservationManager,
+    RewardManager,
+    RewardTerm,
+    Term,
+    TerminationManager,
+    TerminationTerm,
+    Terms,
+    VelocityCommand,
+)
+from humoslope.scene.robot import Robot
+from humoslope.scene.scene import build_model
+from humoslope.scene.signals import Signals
+from humoslope.scene.tiles import Tiles
+from humoslope.sim import make_simulation
+from humoslope.terrain.grid import TerrainGrid
+from humoslope.terrain.queries import TerrainQueries
+
+STATES_KEPT = 10
+"""Control steps of state kept for the report on a diverged world."""
+
+
+@dataclass
+class SimCfg:
+    """Physics.
+
+    Attributes:
+        timestep: Physics step, s.
+        decimation: Physics steps per control step.
+        cone: Friction cone. The pyramidal one is faster, but its friction depends on direction.
+        backend: "warp" for CUDA, "native" for the CPU; "auto" chooses.
+        device: Where the tensors live: "auto", "cpu", "cuda" or "cuda:N".
+        nconmax, njmax: Contacts and constraint rows per world; warp only.
+    """
+
+    timestep: float = 0.005
+    decimation: int = 4
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    backend: Literal["auto", "native", "warp"] = "auto"
+    device: str = "auto"
+    nconmax: int = 48
+    njmax: int = 192
+
+
+@dataclass
+class SceneCfg:
+    """The robot and the ground it walks on."""
+
+    robot: Robot
+    terrain: TerrainGrid
+
+
+@dataclass
+class EnvCfg:
+    """Everything that defines an environment."""
+
+    scene: SceneCfg
+    sim: SimCfg = field(default_factory=SimCfg)
+    num_envs: int = 512
+    episode_length_s: float = 20.0
+    seed: int = 1
+    actions: JointPositionAction = field(default_factory=JointPositionAction)
+    command: VelocityCommand = field(default_factory=VelocityCommand)
+    observations: Terms[ObservationGroup] = field(default_factory=Terms)
+    rewards: Terms[RewardTerm] = field(default_factory=Terms)
+    terminations: Terms[TerminationTerm] = field(default_factory=Terms)
+    events: Terms[EventTerm] = field(default_factory=Terms)
+    curriculum: Terms[Term] = field(default_factory=Terms)
+
+
+class ManagerBasedRlEnv:
+    """Steps all worlds at once; a world whose episode ends is reset within the step.
+
+    Nothing in `step` waits for the device: managers and terms work on all worlds, with masks.
+    """
+
+    def __init__(self, cfg: EnvCfg) -> None:
+        if cfg.num_envs < 1:
+            raise UserError(f"num_envs {cfg.num_envs} must be at least 1.")
+        if cfg.episode_length_s <= 0.0 or cfg.sim.timestep <= 0.0 or cfg.sim.decimation < 1:
+            raise UserError("episode_length_s and sim.timestep must be positive, sim.decimation at least 1.")
+        self.cfg = cfg
+        self.robot = cfg.scene.robot
+        self.num_envs = cfg.num_envs
+        terrain = cfg.scene.terrain.build()
+        self.sim = make_simulation(
+            build_model(self.robot, terrain, cfg.sim.timestep, cfg.sim.cone),
+            cfg.num_envs,
+            backend=cfg.sim.backend,
+            device=cfg.sim.device,
+            nconmax=cfg.sim.nconmax,
+            njmax=cfg.sim.njmax,
+        )
+        self.device = self.sim.device
+        torch.manual_seed(cfg.seed)
+        self.step_dt = cfg.sim.timestep * cfg.sim.decimation
+        self.max_episode_length = round(cfg.episode_length_s / self.step_dt)
+        self.episode_length_buf = self.zeros(dtype=torch.int64)  # [N] control steps, name as rsl_rl wants it
+        self.log = Log(self.device)
+        self.terrain = TerrainQueries(terrain, self.device)
+        self.tiles = Tiles(terrain, cfg.num_envs, self.device)
+        self.signals = Signals(self.sim, self.robot, self.terrain)
+        self.default_joint_pos = torch.tensor(self.robot.default_joint_pos, device=self.device)  # [J] rad
+        ranges = [self.sim.model.joint(name).range for name in self.robot.joint_names]
+        self.joint_range = torch.tensor(np.array(ranges), dtype=torch.float32, device=self.device)  # [J, 2] rad
+        self._qpos, self._qvel = self.sim.state("qpos"), self.sim.state("qvel")
+        self._history: deque[Tensor] = deque(maxlen=STATES_KEPT)
+        self._wreck = torch.zeros(STATES_KEPT, self._qpos.shape[1] + self._qvel.shape[1], device=self.device)
+        self._wrecked = torch.zeros((), dtype=torch.bool, device=self.device)
+
+        self.commands = CommandManager(self, cfg.command)
+        self.actions = ActionManager(self, cfg.actions)
+        self.events = EventManager(self, cfg.events)
+        self.curriculum = CurriculumManager(self, cfg.curriculum)
+        self.events.startup()
+        self.terminations = TerminationManager(self, cfg.terminations)
+        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self._restart(everywhere)
+        self.observations = ObservationManager(self, cfg.observations)
+        self.rewards = RewardManager(self, cfg.rewards)
+        self._obs = self.observations.compute(everywhere)
+
+    def step(self, action: Tensor) -> tuple[TensorDict, Tensor, Tensor, Tensor]:
+        """Advances every world by one control step.
+
+        Args:
+            action: [N, J].
+
+        Returns:
+            Observations after resets (fresh tensors), reward [N], failures [N] (bool) and time-outs [N] (bool).
+        """
+        self.actions.process(action)
+        self.sim.step(self.cfg.sim.decimation)
+        self.signals.refresh()
+        self.episode_length_buf += 1
+        broken = self._contain()
+
+        done = self.terminations.compute() | broken
+        terminated, time_outs = self.terminations.terminated | broken, self.terminations.time_outs & ~broken
+        reward = torch.where(broken, 0.0, self.rewards.compute(self.step_dt))
+        self.log.add("Train/episode_length", self.episode_length_buf, done)
+        self.log.add("Train/falls_per_second", terminated / self.step_dt)
+        self.events.step(self.step_dt)
+        self._reset(done)
+        self.commands.step(self.step_dt)
+        self._obs = self.observations.compute(done)
+        return self._obs, reward, terminated, time_outs
+
+    def get_observations(self) -> TensorDict:
+        """The observations of the last step or reset."""
+        return self._obs
+
+    def _reset(self, mask: Tensor) -> None:
+        self.curriculum.reset(mask)
+        self.rewards.reset(mask)
+        self.terminations.reset(mask)
+        self.observations.reset(mask)
+        self._restart(mask)
+
+    def _restart(self, mask: Tensor) -> None:
+        """Puts the worlds in `mask` at the start of an episode. Reset events write `start_qpos` and `start_qvel`."""
+        self.start_qpos = self._default_qpos()
+        self.start_qvel = torch.zeros_like(self._qvel, dtype=torch.float32)
+        self.events.reset(mask)
+        self.sim.reset(mask, self.start_qpos, self.start_qvel)
+        self.actions.reset(mask)
+        self.signals.refresh()
+        self.commands.reset(mask)
+        self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
+
+    def _default_qpos(self) -> Tensor:
+        robot = self.robot
+        start = torch.tensor([0.0, 0.0, robot.default_root_height, 1.0, 0.0, 0.0, 0.0, *robot.default_joint_pos])
+        return start.to(self.device).repeat(self.num_envs, 1)
+
+    def _contain(self) -> Tensor:
+        """Worlds [N] whose physics went wrong. The last states of the first of them are kept for `take_wreck`."""
+        state = torch.cat([self._qpos, self._qvel], dim=1).to(torch.float32)
+        self._history.append(state)
+        broken = self.sim.diverged() | ~state.isfinite().all(dim=1)
+        if len(self._history) == STATES_KEPT:
+            first = broken.to(torch.uint8).argmax(dim=0, keepdim=True)
+            states = torch.cat([s.index_select(0, first) for s in self._history])
+            fresh = broken.any() & ~self._wrecked
+            self._wreck = torch.where(fresh, states, self._wreck)
+            self._wrecked = self._wrecked | fresh
+        self.log.add("Train/diverged", broken)
+        return broken
+
+    def take_wreck(self) -> Tensor | None:
+        """The last states [K, nq + nv] of the first world that diverged since the last call, or None. Waits for the device."""
+        if not self._wrecked.item():
+            return None
+        self._wrecked = torch.zeros_like(self._wrecked)
+        return self._wreck.cpu()
+
+    def zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+        """A zero tensor [N, *shape] on the environment's device."""
+        return torch.zeros(self.num_envs, *shape, dtype=dtype, device=self.device)
+
+    def uniform(self, low: float, high: float, *shape: int) -> Tensor:
+        """Uniform random numbers [N, *shape]."""
+        return torch.rand(self.num_envs, *shape, device=self.device) * (high - low) + low
+
+    def body_id(self, name: str) -> int:
+        """The id of a body of the model."""
+        return int(mujoco.mj_name2id(self.sim.model, mujoco.mjtObj.mjOBJ_BODY, name))
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a resumed run needs of the environment: the curriculum's state."""
+        return {"curriculum": self.curriculum.state_dict(), "level": self.tiles.level.cpu()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continues from `state_dict`. Worlds are spread over the saved levels if their number differs; all episodes start anew."""
+        level = state["level"].to(self.device)
+        index = torch.arange(self.num_envs, device=self.device) * len(level) // self.num_envs
+        self.tiles.set_level(level[index].clamp(max=self.tiles.num_levels - 1))
+        self.curriculum.load_state_dict(state["curriculum"])
+        everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self._restart(everywhere)
+        self._obs = self.observations.compute(everywhere)
+
+    def describe(self, console: Console) -> None:
+        """Prints a table of every manager."""
+        for manager in (
+            self.actions,
+            self.commands,
+            self.observations,
+            self.rewards,
+            self.terminations,
+            self.events,
+            self.curriculum,
+        ):
+            console.print(manager.table())

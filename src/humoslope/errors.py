@@ -1,0 +1,24 @@
+"""What a user did wrong, said in one sentence."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class UserError(Exception):
+    """A mistake the user can put right. The command line prints its message alone and exits with code 2."""
+
+
+def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
+    """The error for a name that is not in a registry or config, with the nearest match.
+
+    Args:
+        kind: What was looked for, such as "task" or "terrain".
+        name: What the user wrote.
+        known: What there was to choose from.
+    """
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.4)
+    hint = f"did you mean '{near[0]}'?" if near else f"there are: {', '.join(names) or 'none'}."
+    return UserError(f"{kind} '{name}' does not exist; {hint}")

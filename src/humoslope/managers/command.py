@@ -1,0 +1,94 @@
+"""The velocity command: what the policy is asked to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from rich.table import Table
+from torch import Tensor
+
+from humoslope.errors import UserError
+
+if TYPE_CHECKING:
+    from humoslope.env import ManagerBasedRlEnv as Env
+
+
+@dataclass
+class VelocityCommand:
+    """Speed along the ground in the heading frame, and yaw rate.
+
+    Attributes:
+        speed: Forward speed, m/s.
+        lateral: Speed to the left, m/s.
+        yaw_rate: Yaw rate of the worlds without a heading target, rad/s.
+        heading_share: Share of worlds that steer to the direction of travel (+x of their tile) by `heading_gain`.
+        heading_gain: Yaw rate per heading error, 1/s.
+        lateral_gain: Heading error added per metre off the tile's centre line, rad/m, so that the path stays on the tile.
+        yaw_rate_limit: Largest yaw rate that steering asks for, rad/s.
+        standing_share: Share of worlds that are asked to stand.
+        resample_s: Shortest and longest time a command holds, s.
+    """
+
+    speed: tuple[float, float] = (0.3, 0.8)
+    lateral: tuple[float, float] = (0.0, 0.0)
+    yaw_rate: tuple[float, float] = (-0.3, 0.3)
+    heading_share: float = 0.8
+    heading_gain: float = 0.5
+    lateral_gain: float = 0.3
+    yaw_rate_limit: float = 0.3
+    standing_share: float = 0.05
+    resample_s: tuple[float, float] = (8.0, 12.0)
+
+
+class CommandManager:
+    """Draws commands and steers the worlds that hold a heading."""
+
+    def __init__(self, env: Env, cfg: VelocityCommand) -> None:
+        for name in ("speed", "lateral", "yaw_rate", "resample_s"):
+            low, high = getattr(cfg, name)
+            if low > high:
+                raise UserError(f"command: {name} ({low:g}, {high:g}) must be (lowest, highest).")
+        self._env, self.cfg = env, cfg
+        self.velocity = env.zeros(3)  # [N, 3] forward, left (m/s), yaw rate (rad/s)
+        self._yaw_rate = env.zeros()  # [N] of the worlds without a heading target
+        self._steers = env.zeros(dtype=torch.bool)  # [N]
+        self._stands = env.zeros(dtype=torch.bool)  # [N]
+        self._time_left = env.zeros()  # [N] s
+
+    @property
+    def moving(self) -> Tensor:
+        """Worlds [N] that are asked to move."""
+        return ~self._stands
+
+    def reset(self, mask: Tensor) -> None:
+        """Draws new commands for the worlds in `mask`."""
+        cfg, uniform = self.cfg, self._env.uniform
+        drawn = torch.stack([uniform(*cfg.speed), uniform(*cfg.lateral)], dim=1)
+        stands = uniform(0.0, 1.0) < cfg.standing_share
+        self._stands = torch.where(mask, stands, self._stands)
+        self._steers = torch.where(mask, uniform(0.0, 1.0) < cfg.heading_share, self._steers)
+        self._yaw_rate = torch.where(mask, uniform(*cfg.yaw_rate), self._yaw_rate)
+        self._time_left = torch.where(mask, uniform(*cfg.resample_s), self._time_left)
+        linear = torch.where(mask[:, None], drawn, self.velocity[:, :2]).masked_fill(self._stands[:, None], 0.0)
+        self.velocity = torch.cat([linear, self._turn()[:, None]], dim=1)
+
+    def step(self, dt: float) -> None:
+        """Lets `dt` seconds pass: commands whose time is over are drawn again, the others steer on."""
+        self._time_left = self._time_left - dt
+        self.reset(self._time_left <= 0.0)
+
+    def _turn(self) -> Tensor:
+        cfg, signals = self.cfg, self._env.signals
+        target = -cfg.lateral_gain * (signals.root_pos_w[:, 1] - self._env.tiles.origin_w[:, 1])
+        error = torch.remainder(target - signals.heading_w + torch.pi, 2 * torch.pi) - torch.pi
+        steered = (cfg.heading_gain * error).clamp(-cfg.yaw_rate_limit, cfg.yaw_rate_limit)
+        return torch.where(self._steers, steered, self._yaw_rate).masked_fill(self._stands, 0.0)
+
+    def table(self) -> Table:
+        """What may be asked for."""
+        table = Table("command", "value", title="Commands")
+        for name, value in vars(self.cfg).items():
+            table.add_row(name, str(value))
+        return table

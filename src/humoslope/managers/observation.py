@@ -1,0 +1,117 @@
+"""Observations: groups of terms with noise, scale and history."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import torch
+from rich.table import Table
+from tensordict import TensorDict
+from torch import Tensor
+
+from humoslope.errors import UserError
+from humoslope.managers.terms import StatefulTerms, Term, Terms, bind
+
+if TYPE_CHECKING:
+    from humoslope.env import ManagerBasedRlEnv as Env
+
+
+@dataclass
+class ObservationTerm(Term):
+    """`func(env, **params) -> [N, d]`.
+
+    Attributes:
+        noise: Half-width of uniform noise, in the term's own unit, added before the scale.
+        scale: Factor on the noisy value.
+    """
+
+    noise: float = 0.0
+    scale: float = 1.0
+
+
+@dataclass
+class ObservationGroup:
+    """Terms concatenated into one vector.
+
+    Attributes:
+        history: Number of control steps it spans; each term's frames stand together, oldest first.
+        corrupt: Whether noise is added.
+    """
+
+    terms: Terms[ObservationTerm] = field(default_factory=Terms)
+    history: int = 1
+    corrupt: bool = False
+
+
+class ObservationManager:
+    """Computes every group as a fresh tensor each step, since the learner keeps references."""
+
+    def __init__(self, env: Env, cfg: Terms[ObservationGroup]) -> None:
+        self.groups = {name: _Group(env, name, group) for name, group in cfg.items()}
+        self._num_envs = env.num_envs
+        self._device = env.device
+
+    def compute(self, restarted: Tensor) -> TensorDict:
+        """All groups, [N, d] each. History of the worlds in `restarted` [N] is filled with their first frame."""
+        return TensorDict(
+            {name: group.compute(restarted) for name, group in self.groups.items()},
+            batch_size=[self._num_envs],
+            device=self._device,
+        )
+
+    def reset(self, mask: Tensor) -> None:
+        """Resets the stateful terms."""
+        for group in self.groups.values():
+            group.stateful.reset(mask)
+
+    def table(self) -> Table:
+        """What each group sees."""
+        table = Table("group", "term", "size", "scale", "noise", title="Observations")
+        for name, group in self.groups.items():
+            noisy = " noisy" if group.cfg.corrupt else ""
+            table.add_row(name, "", f"{group.size}", "", f"history {group.cfg.history}{noisy}", style="bold")
+            for term, width in group.widths.items():
+                cfg = getattr(group.cfg.terms, term)
+                table.add_row("", term, str(width), f"{cfg.scale:g}", f"±{cfg.noise:g}" if group.cfg.corrupt else "")
+        return table
+
+
+class _Group:
+    """One frame of all terms is handled as a single [N, D] tensor: one noise draw, one scaling, one history shift."""
+
+    def __init__(self, env: Env, name: str, cfg: ObservationGroup) -> None:
+        if cfg.history < 1:
+            raise UserError(f"observation group '{name}': history {cfg.history} must be at least 1.")
+        self.env, self.cfg = env, cfg
+        self.stateful = StatefulTerms()
+        self._calls = {n: self.stateful.keep(bind("observation", n, t, env)) for n, t in cfg.terms.items()}
+        self.widths: dict[str, int] = {}
+        for term, call in self._calls.items():
+            shape = tuple(call(env).shape)
+            if len(shape) != 2 or shape[0] != env.num_envs:
+                raise UserError(f"observation '{name}.{term}' returned shape {shape}; it must be ({env.num_envs}, d).")
+            self.widths[term] = shape[1]
+        frame = sum(self.widths.values())
+        self.size = frame * cfg.history
+        terms = list(cfg.terms.items())
+        self._scale = torch.cat([torch.full((self.widths[n],), t.scale) for n, t in terms]).to(env.device)  # [D]
+        self._noise = torch.cat([torch.full((self.widths[n],), t.noise) for n, t in terms]).to(env.device)  # [D]
+        self._frames = env.zeros(cfg.history, frame)  # [N, H, D], oldest first
+        self._columns = self._term_major(cfg.history).to(env.device)  # [H * D]
+
+    def compute(self, restarted: Tensor) -> Tensor:
+        frame = torch.cat([call(self.env) for call in self._calls.values()], dim=1)
+        if self.cfg.corrupt:
+            frame = frame + (2.0 * torch.rand_like(frame) - 1.0) * self._noise
+        frame = frame * self._scale
+        if self.cfg.history == 1:
+            return frame
+        shifted = torch.cat([self._frames[:, 1:], frame[:, None]], dim=1)
+        self._frames = torch.where(restarted[:, None, None], frame[:, None], shifted)
+        return self._frames.flatten(1).index_select(1, self._columns)
+
+    def _term_major(self, history: int) -> Tensor:
+        """Columns of the flattened [H, D] frames, ordered by term, then age, then component."""
+        index = torch.arange(history * sum(self.widths.values())).view(history, -1)
+        return torch.cat([block.flatten() for block in index.split(list(self.widths.values()), dim=1)])

@@ -1,0 +1,64 @@
+"""Rewards: a weighted sum of terms, per second."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from rich.table import Table
+from torch import Tensor
+
+from humoslope.errors import UserError
+from humoslope.managers.terms import StatefulTerms, Term, Terms, bind
+
+if TYPE_CHECKING:
+    from humoslope.env import ManagerBasedRlEnv as Env
+
+
+@dataclass
+class RewardTerm(Term):
+    """`func(env, **params) -> [N]`; it earns `weight` times its value per second."""
+
+    weight: float = 1.0
+
+
+class RewardManager:
+    """Computes the reward of each step and the mean of each term over finished episodes."""
+
+    def __init__(self, env: Env, cfg: Terms[RewardTerm]) -> None:
+        self._env = env
+        self._stateful = StatefulTerms()
+        terms = {name: term for name, term in cfg.items() if term.weight != 0.0}
+        if not terms:
+            raise UserError("rewards: no term has a weight other than zero.")
+        self.names = list(terms)
+        self._calls = [self._stateful.keep(bind("reward", name, term, env)) for name, term in terms.items()]
+        self._weights = torch.tensor([term.weight for term in terms.values()], device=env.device)  # [T]
+        self._sums = torch.zeros(env.num_envs, len(terms), device=env.device)  # [N, T] over the episode
+        for name, call in zip(self.names, self._calls, strict=True):
+            shape = tuple(call(env).shape)
+            if shape != (env.num_envs,):
+                raise UserError(f"reward '{name}' returned shape {shape}; it must be ({env.num_envs},), one value per world.")
+
+    def compute(self, dt: float) -> Tensor:
+        """The reward [N] of a step of `dt` seconds."""
+        values = torch.stack([call(self._env) for call in self._calls], dim=1) * self._weights  # [N, T] per second
+        self.last = values
+        self._sums += values * dt
+        return values.sum(dim=1) * dt
+
+    def reset(self, mask: Tensor) -> None:
+        """Logs and clears the episode sums of the worlds in `mask`, in reward per second of a full episode."""
+        means = self._sums / self._env.cfg.episode_length_s
+        for i, name in enumerate(self.names):
+            self._env.log.add(f"Reward/{name}", means[:, i], mask)
+        self._sums = self._sums.masked_fill(mask[:, None], 0.0)
+        self._stateful.reset(mask)
+
+    def table(self) -> Table:
+        """What is rewarded, and how much."""
+        table = Table("reward", "weight per second", title="Rewards")
+        for name, weight in zip(self.names, self._weights.tolist(), strict=True):
+            table.add_row(name, f"{weight:g}")
+        return table

@@ -1,0 +1,63 @@
+"""When an episode ends, and whether that is a failure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from rich.table import Table
+from torch import Tensor
+
+from humoslope.managers.terms import StatefulTerms, Term, Terms, bind
+
+if TYPE_CHECKING:
+    from humoslope.env import ManagerBasedRlEnv as Env
+
+
+@dataclass
+class TerminationTerm(Term):
+    """`func(env, **params) -> [N] bool`. A `time_out` is no failure: the value of what would have followed is bootstrapped."""
+
+    time_out: bool = False
+
+
+class TerminationManager:
+    """Computes which worlds end, and why."""
+
+    def __init__(self, env: Env, cfg: Terms[TerminationTerm]) -> None:
+        self._env = env
+        self._stateful = StatefulTerms()
+        self._time_out = [term.time_out for _, term in cfg.items()]
+        self.names = [name for name, _ in cfg.items()]
+        self._calls = [self._stateful.keep(bind("termination", name, term, env)) for name, term in cfg.items()]
+        self.terminated = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+        self.time_outs = self.terminated.clone()
+        self._hits = [self.terminated.clone() for _ in self.names]
+
+    def compute(self) -> Tensor:
+        """The worlds [N] (bool) whose episode ends now; `terminated` are the failures, `time_outs` the others among them."""
+        self._hits = [call(self._env) for call in self._calls]
+        none = torch.zeros_like(self.terminated)
+        self.terminated = none.clone()
+        self.time_outs = none
+        for hit, time_out in zip(self._hits, self._time_out, strict=True):
+            if time_out:
+                self.time_outs = self.time_outs | hit
+            else:
+                self.terminated = self.terminated | hit
+        self.time_outs = self.time_outs & ~self.terminated
+        return self.terminated | self.time_outs
+
+    def reset(self, mask: Tensor) -> None:
+        """Logs why the worlds in `mask` ended, as shares."""
+        for name, hit in zip(self.names, self._hits, strict=True):
+            self._env.log.add(f"Termination/{name}", hit, mask)
+        self._stateful.reset(mask)
+
+    def table(self) -> Table:
+        """What ends an episode."""
+        table = Table("termination", "kind", title="Terminations")
+        for name, time_out in zip(self.names, self._time_out, strict=True):
+            table.add_row(name, "time-out" if time_out else "failure")
+        return table

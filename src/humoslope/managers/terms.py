@@ -1,0 +1,119 @@
+"""Named terms: how a configuration holds them, and how a manager makes them callable."""
+
+from __future__ import annotations
+
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Callable, ItemsView, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from torch import Tensor
+
+from humoslope.errors import UserError, unknown
+
+if TYPE_CHECKING:
+    from humoslope.env import ManagerBasedRlEnv as Env
+
+T = TypeVar("T")
+
+
+class Terms(Generic[T]):
+    """An ordered set of named terms with attribute access: `cfg.rewards.alive.weight = 0.2`; assigning None takes a term away."""
+
+    def __init__(self, **terms: T) -> None:
+        self.__dict__.update(terms)
+
+    def __getattr__(self, name: str) -> T:
+        # Only reached when the name is not there.
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise unknown("term", name, self.__dict__)
+
+    def __setattr__(self, name: str, value: T | None) -> None:
+        if value is None:
+            self.__delattr__(name)
+        else:
+            self.__dict__[name] = value
+
+    def __delattr__(self, name: str) -> None:
+        if name not in self.__dict__:
+            raise unknown("term", name, self.__dict__)
+        del self.__dict__[name]
+
+    def items(self) -> ItemsView[str, T]:
+        """Names and terms, in the order they were given."""
+        return self.__dict__.items()
+
+    def __len__(self) -> int:
+        return len(self.__dict__)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.__dict__
+
+
+@dataclass
+class Term:
+    """A function or `StatefulTerm` class, and its parameters beyond the environment."""
+
+    func: Callable[..., Any]
+    params: dict[str, Any] = field(default_factory=dict)
+
+
+class StatefulTerm(ABC):
+    """A term that remembers something between steps; constructed with the environment and the term's parameters."""
+
+    @abstractmethod
+    def reset(self, mask: Tensor) -> None:
+        """Forgets what belongs to the worlds in `mask` [N]."""
+
+
+def bind(kind: str, name: str, term: Term, env: Env, implicit: tuple[str, ...] = ("env",)) -> Callable[..., Any]:
+    """Makes a term callable as `call(*implicit)`, its parameters filled in.
+
+    Args:
+        kind: "reward", "event", ... for messages.
+        implicit: Names of the arguments the manager gives at each call.
+
+    Raises:
+        UserError: If the parameters do not fit the signature, or a class is not a `StatefulTerm`.
+    """
+    where = f"{kind} '{name}'"
+    if not inspect.isclass(term.func):
+        _check_params(where, term.func, term.params, implicit)
+        return partial(term.func, **term.params)
+    if not issubclass(term.func, StatefulTerm):
+        raise UserError(f"{where}: class {term.func.__name__} must derive from StatefulTerm and define reset(mask).")
+    _check_params(where, term.func, term.params, ("env",))
+    instance: Callable[..., Any] = term.func(env, **term.params)
+    return instance
+
+
+def _check_params(where: str, func: Callable[..., Any], params: Mapping[str, Any], implicit: tuple[str, ...]) -> None:
+    signature = inspect.signature(func).parameters
+    accepted = {name for name in signature if name not in implicit}
+    for name in params:
+        if name not in accepted:
+            raise UserError(f"{where}: {unknown('parameter', name, accepted)}")
+    missing = [n for n in accepted if signature[n].default is inspect.Parameter.empty and n not in params]
+    if missing:
+        raise UserError(f"{where}: parameter '{missing[0]}' of {getattr(func, '__name__', func)} has no value.")
+
+
+class StatefulTerms:
+    """The stateful ones among a manager's terms, reset together."""
+
+    def __init__(self) -> None:
+        self._terms: list[StatefulTerm] = []
+
+    def keep(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        """Remembers `call` if it has state; returns it."""
+        if isinstance(call, StatefulTerm):
+            self._terms.append(call)
+        return call
+
+    def reset(self, mask: Tensor) -> None:
+        """Resets every stateful term."""
+        for term in self._terms:
+            term.reset(mask)

@@ -1,0 +1,1 @@
+"""Reusable terms that the managers call."""

@@ -1,0 +1,82 @@
+"""The slope-adaptive ZMP regulariser as a reward (paper, section 3.1)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import torch
+from torch import Tensor
+
+from humoslope.errors import UserError
+from humoslope.managers.terms import StatefulTerm
+from humoslope.mdp.rate import RateOfChange
+from humoslope.slope import zmp
+
+if TYPE_CHECKING:
+    from humoslope.env import ManagerBasedRlEnv as Env
+
+
+class ZmpRegulariser(StatefulTerm):
+    """exp(-d_zmp / sigma): the closer the zero-moment point is to the support anchor, the better balanced.
+
+    Args:
+        sigma: Deviation at which the reward has fallen to 1/e, m. 0.10: about half a foot.
+        epsilon: Force that smooths the anchor, N.
+        smoothing: Weight of the past in the moving average of the CoM's acceleration; contacts make it noisy.
+        acc_limit: Largest CoM acceleration believed, m/s^2.
+        least_pressure: Smallest apparent force on the plane for which a ZMP is defined, m/s^2; below it the reward is zero.
+        largest_deviation: Deviations are cut here, m.
+        flight_share: Below this share of body weight on the feet the last support normal holds.
+        plane: "support" takes the dominant foot's plane (the paper's regulariser); "horizontal" the world-horizontal plane through the
+            anchor, which the paper argues against.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        sigma: float = 0.10,
+        epsilon: float = 1.0,
+        smoothing: float = 0.5,
+        acc_limit: float = 20.0,
+        least_pressure: float = 2.0,
+        largest_deviation: float = 0.5,
+        flight_share: float = 0.1,
+        plane: Literal["support", "horizontal"] = "support",
+    ) -> None:
+        if plane not in ("support", "horizontal"):
+            raise UserError(f"ZMP regulariser: plane '{plane}' must be 'support' or 'horizontal'.")
+        if sigma <= 0.0:
+            raise UserError(f"ZMP regulariser: sigma {sigma} must be positive.")
+        self._sigma, self._epsilon = sigma, epsilon
+        self._smoothing, self._acc_limit = smoothing, acc_limit
+        self._least_pressure, self._largest_deviation = least_pressure, largest_deviation
+        self._flight_force = flight_share * env.robot.total_mass * zmp.GRAVITY
+        self._horizontal = plane == "horizontal"
+        self._rate = RateOfChange(env.step_dt)
+        self._com_acc = env.zeros(3)  # [N, 3] m/s^2
+        self._up = torch.tensor([0.0, 0.0, 1.0], device=env.device).expand(env.num_envs, 3)
+        self._normal = self._up
+
+    def __call__(self, env: Env) -> Tensor:
+        signals = env.signals
+        raw = self._rate(signals.com_lin_vel_w).clamp(-self._acc_limit, self._acc_limit)
+        self._com_acc = self._smoothing * self._com_acc + (1.0 - self._smoothing) * raw
+        force = signals.foot_force_w.norm(dim=2)  # [N, 2]
+        anchor = zmp.support_anchor(signals.foot_pos_w, force, self._epsilon)
+        deviation, valid = zmp.zmp_deviation(
+            signals.com_pos_w, self._com_acc, anchor, self._plane_normal(env, force), self._least_pressure
+        )
+        return torch.exp(-deviation.clamp(max=self._largest_deviation) / self._sigma) * valid
+
+    def _plane_normal(self, env: Env, force: Tensor) -> Tensor:
+        if self._horizontal:
+            return self._up
+        supported = (force.sum(dim=1) >= self._flight_force)[:, None]
+        self._normal = torch.where(supported, zmp.dominant_normal(env.signals.foot_normal_w, force), self._normal)
+        return self._normal
+
+    def reset(self, mask: Tensor) -> None:
+        """Acceleration and support plane of the last episode are forgotten."""
+        self._rate.reset(mask)
+        self._com_acc = self._com_acc.masked_fill(mask[:, None], 0.0)
+        self._normal = torch.where(mask[:, None], self._up, self._normal)

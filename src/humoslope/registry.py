@@ -1,0 +1,72 @@
+"""The registered tasks. A task is a function that builds its whole configuration when it is asked for."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import humoslope
+from humoslope.env import EnvCfg
+from humoslope.errors import UserError, unknown
+from humoslope.rl.config import AgentCfg
+
+
+@dataclass
+class TaskCfg:
+    """A task: the environment, and how it is learnt."""
+
+    env: EnvCfg
+    agent: AgentCfg
+
+
+TaskFunction = Callable[[], TaskCfg]
+
+_tasks: dict[str, TaskFunction] = {}
+
+
+def task(name: str) -> Callable[[TaskFunction], TaskFunction]:
+    """Registers the decorated function under `name`; its docstring's first line is what `humoslope list` prints.
+
+    Raises:
+        UserError: If the name is taken.
+    """
+
+    def register(func: TaskFunction) -> TaskFunction:
+        if name in _tasks and _tasks[name].__module__ != func.__module__:
+            raise UserError(f"task '{name}' is registered twice, in {_tasks[name].__module__} and {func.__module__}.")
+        _tasks[name] = func
+        return func
+
+    return register
+
+
+def build_task(name: str) -> TaskCfg:
+    """A fresh configuration of the task `name`.
+
+    Raises:
+        UserError: If it does not exist.
+    """
+    if name not in _tasks:
+        raise unknown("task", name, _tasks)
+    return _tasks[name]()
+
+
+def all_tasks() -> dict[str, str]:
+    """Names of the registered tasks, and a line on each."""
+    return {name: (func.__doc__ or "").strip().split("\n")[0] for name, func in sorted(_tasks.items())}
+
+
+def load_content() -> None:
+    """Imports the content of a checkout (its `terrains` and `tasks` folders) and of installed packages (entry points `humoslope.tasks`)."""
+    root = Path(humoslope.__file__).parents[2]
+    if (root / "tasks" / "__init__.py").is_file():
+        if str(root) not in sys.path:
+            sys.path.insert(0, str(root))
+        import_module("terrains")
+        import_module("tasks")
+    for entry in entry_points(group="humoslope.tasks"):
+        entry.load()

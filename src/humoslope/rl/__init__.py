@@ -1,0 +1,1 @@
+"""Learning with rsl_rl: configuration, environment face, symmetry, runner, checkpoints."""

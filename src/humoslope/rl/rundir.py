@@ -1,0 +1,105 @@
+"""The folder of a training run: what was run, with which code, and everything it printed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from rich.console import Console
+
+import humoslope
+from humoslope.errors import UserError
+from humoslope.files import write_text
+from humoslope.managers.terms import Terms
+
+if TYPE_CHECKING:
+    from humoslope.registry import TaskCfg
+
+
+def describe_run(run_dir: Path, task: str, cfg: TaskCfg, options: list[str]) -> None:
+    """Writes the resolved configuration, the options and the state of the code."""
+    resolved = {"task": task, "version": humoslope.__version__, "env": plain(cfg.env), "agent": plain(cfg.agent)}
+    write_text(run_dir / "config.json", json.dumps(resolved, indent=2))
+    write_text(run_dir / "options.txt", shlex.join(options))
+    write_text(run_dir / "git.txt", git_state())
+
+
+def find_run(task: str, which: str) -> Path:
+    """The run folder `which`, or the newest of the task for "latest".
+
+    Raises:
+        UserError: If there is none.
+    """
+    if which != "latest":
+        path = Path(which)
+        if not path.is_dir():
+            raise UserError(f"run folder '{path}' does not exist.")
+        return path
+    runs = sorted(p for p in (Path("logs") / task).glob("*") if any(p.glob("model_*.pt")))
+    if not runs:
+        raise UserError(f"there is no run of {task} with a checkpoint under {Path('logs') / task}.")
+    return runs[-1]
+
+
+def plain(value: Any) -> Any:
+    """A configuration as JSON types; functions become their qualified names."""
+    if isinstance(value, Terms):
+        return {name: plain(term) for name, term in value.items()}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(v) for v in value]
+    if callable(value):
+        return f"{value.__module__}.{value.__qualname__}"
+    return value
+
+
+def git_state() -> str:
+    """Commit, changed files and differences of the checkout, as far as git can tell."""
+    root = Path(humoslope.__file__).parent
+
+    def git(*words: str) -> str:
+        try:
+            done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, timeout=20, check=False)
+        except (OSError, subprocess.TimeoutExpired):
+            return ""
+        return done.stdout
+
+    return f"commit {git('rev-parse', 'HEAD')}\n{git('status', '--short')}\n{git('diff', 'HEAD')}"
+
+
+class _Both:
+    """Writes to the terminal and to a file."""
+
+    def __init__(self, *files: IO[str]) -> None:
+        self._files = files
+
+    def write(self, text: str) -> int:
+        for file in self._files:
+            file.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        for file in self._files:
+            file.flush()
+
+
+@contextmanager
+def tee(path: Path | None) -> Iterator[Console]:
+    """A console that also writes to `path`; quiet if there is none (the other processes of a distributed run)."""
+    if path is None:
+        yield Console(quiet=True)
+        return
+    import sys
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
+        yield Console(file=_Both(sys.stdout, file), width=None if sys.stdout.isatty() else 140, force_terminal=None)  # type: ignore[arg-type]

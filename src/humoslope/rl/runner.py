@@ -1,0 +1,166 @@
+"""A training run: rsl_rl's runner with atomic, complete checkpoints and a clean stop."""
+
+from __future__ import annotations
+
+import random
+import signal
+import threading
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from rsl_rl.runners import OnPolicyRunner
+
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.errors import UserError
+from humoslope.files import write_atomically
+from humoslope.rl import checkpoint
+from humoslope.rl.config import AgentCfg
+from humoslope.rl.logger import TrainingLogger
+from humoslope.rl.symmetry import Mirror, MirrorAugmentation
+from humoslope.rl.vec_env import RslRlVecEnv
+
+
+class StopTraining(Exception):
+    """Raised between iterations after SIGINT or SIGTERM."""
+
+
+class Runner(OnPolicyRunner):  # type: ignore[misc]
+    """Trains a task in a run folder.
+
+    Args:
+        task: Name of the task, written into checkpoints.
+        run_dir: Where curves and checkpoints go; None writes nothing.
+    """
+
+    def __init__(self, task: str, env: ManagerBasedRlEnv, agent: AgentCfg, run_dir: Path | None, console: Console) -> None:
+        self.task, self.agent, self.run_dir, self._console = task, agent, run_dir, console
+        self._manager_env = env
+        self._stop = False
+        vec_env = RslRlVecEnv(env)
+        cfg = agent.to_rsl_rl()
+        mirror = Mirror(env) if agent.symmetry else None
+        super().__init__(vec_env, cfg, None if run_dir is None else str(run_dir), str(env.device))
+        if mirror is not None:
+            # Set here, and not through rsl_rl's configuration, which could only name rsl_rl's own class.
+            self.alg.symmetry = MirrorAugmentation(vec_env, mirror.augment, use_data_augmentation=True)
+        self.logger = TrainingLogger(
+            env,
+            console,
+            self._after_iteration,
+            log_dir=None if run_dir is None else str(run_dir),
+            cfg=self.cfg,
+            env_cfg=env.cfg,
+            num_envs=env.num_envs,
+            is_distributed=self.is_distributed,
+            gpu_world_size=self.gpu_world_size,
+            gpu_global_rank=self.gpu_global_rank,
+            device=self.device,
+        )
+
+    def train(self) -> bool:
+        """Trains up to the configured number of iterations; SIGINT or SIGTERM saves and ends it early.
+
+        Returns:
+            Whether the training is complete.
+        """
+        left = self.agent.max_iterations - self.current_learning_iteration
+        if left <= 0:
+            self._console.print(f"Nothing left to do: {self.current_learning_iteration} iterations are done.")
+            return True
+        # Worlds that all start at once would also end at once, and the learner would see one phase of the episode at a time.
+        first = self.current_learning_iteration == 0
+        handlers = self._catch_signals()
+        try:
+            self.learn(left, init_at_random_ep_len=first)
+        except StopTraining:
+            self.save(str(self._model_path()))
+            self.logger.stop_logging_writer()
+            self._console.print(f"Stopped after iteration {self.current_learning_iteration + 1}; saved {self._model_path()}.")
+            return False
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+        return True
+
+    def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
+        """Writes a complete checkpoint in one step."""
+        state = self.alg.save() | {
+            "task": self.task,
+            "iter": self.current_learning_iteration,
+            "total_steps": self.logger.tot_timesteps,
+            "total_time": self.logger.tot_time,
+            "env": self._manager_env.state_dict(),
+        }
+        checkpoint.save(Path(path), state)
+        self.logger.save_model(path, self.current_learning_iteration)
+
+    def resume(self, path: Path) -> None:
+        """Continues from a checkpoint of the same task: networks, optimiser, curriculum, counters and random numbers.
+
+        Raises:
+            UserError: If it cannot be used here.
+        """
+        state = checkpoint.load(path, self.task, self.device)
+        self._load_networks(path, state)
+        self.current_learning_iteration = state["iter"] + 1
+        self.logger.tot_timesteps, self.logger.tot_time = state["total_steps"], state["total_time"]
+        self._manager_env.load_state_dict(state["env"])
+        checkpoint.restore_rng(state["rng"])
+
+    def warm_start(self, path: Path) -> None:
+        """Takes the actor, with its normaliser, from a checkpoint of any task; everything else starts anew.
+
+        Raises:
+            UserError: If it cannot be used here.
+        """
+        self._load_networks(path, checkpoint.load(path, device=self.device), {"actor": True})
+
+    def _load_networks(self, path: Path, state: dict[str, Any], parts: dict[str, bool] | None = None) -> None:
+        try:
+            self.alg.load(state, parts, strict=True)
+        except RuntimeError as error:
+            detail = str(error).strip().splitlines()[-1].strip()
+            raise UserError(f"checkpoint '{path}' does not fit the configured networks: {detail}") from None
+
+    def _model_path(self) -> Path:
+        return (self.run_dir or Path()) / f"model_{self.current_learning_iteration}.pt"
+
+    def _after_iteration(self, values: dict[str, float]) -> None:
+        for warning in self._manager_env.sim.warnings():
+            self._console.print(f"[yellow]physics: {warning}[/yellow]")
+        if values.get("Train/diverged", 0.0) > 0.0:
+            self._report_wreck()
+        if self._stop:
+            raise StopTraining
+
+    def _report_wreck(self) -> None:
+        states = self._manager_env.take_wreck()
+        if states is None or self.run_dir is None:
+            return
+        path = self.run_dir / "diverged" / f"iteration_{self.current_learning_iteration}.npz"
+        nq = self._manager_env.sim.model.nq
+        write_atomically(path, lambda out: np.savez(out, qpos=states[:, :nq].numpy(), qvel=states[:, nq:].numpy()))
+        self._console.print(f"[yellow]A world diverged and was reset; its last states are in {path}.[/yellow]")
+
+    def _catch_signals(self) -> dict[int, Any]:
+        if threading.current_thread() is not threading.main_thread():
+            return {}
+
+        def stop(number: int, frame: FrameType | None) -> None:
+            if self._stop:
+                raise KeyboardInterrupt
+            self._stop = True
+            self._console.print("Stopping after this iteration; once more stops at once, without saving.")
+
+        return {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+
+
+def seed_everything(seed: int) -> None:
+    """Seeds Python, NumPy and torch."""
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 - libraries draw from the global generator
+    torch.manual_seed(seed)

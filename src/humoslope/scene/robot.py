@@ -1,0 +1,55 @@
+"""What the engine needs to know of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A legged robot, described once; every tuple over joints follows `joint_names`.
+
+    Attributes:
+        name: Shown in tables and messages.
+        make_spec: Builds a fresh `MjSpec`: a free joint on `root_body`, one position actuator per joint (same names and order as
+            `joint_names`), a site at each sole, and no ground.
+        root_body: The body that carries the free joint.
+        torso_body: The body that carries the upper body; the harness acts on it.
+        imu_site: Where angular velocity and gravity are measured.
+        foot_bodies: Left and right foot.
+        foot_sites: Left and right sole centre, z axis up out of the foot.
+        foot_geoms: Names of the geoms that touch the ground under the left and the right foot.
+        joint_names: The actuated joints, in the order of actions and of the deployed controller.
+        default_joint_pos: Pose that a zero action holds, rad.
+        default_root_height: Height of `root_body` over the soles' ground in that pose, m.
+        action_scale: Joint target moved by one unit of action, rad.
+        stiffness: Position gain, Nm/rad.
+        damping: Velocity gain, Nm s/rad.
+        effort_limit: Largest joint torque, Nm.
+        total_mass: kg.
+    """
+
+    name: str
+    make_spec: Callable[[], mujoco.MjSpec]
+    root_body: str
+    torso_body: str
+    imu_site: str
+    foot_bodies: tuple[str, str]
+    foot_sites: tuple[str, str]
+    foot_geoms: tuple[tuple[str, ...], tuple[str, ...]]
+    joint_names: tuple[str, ...]
+    default_joint_pos: tuple[float, ...]
+    default_root_height: float
+    action_scale: tuple[float, ...]
+    stiffness: tuple[float, ...]
+    damping: tuple[float, ...]
+    effort_limit: tuple[float, ...]
+    total_mass: float
+
+    @property
+    def num_joints(self) -> int:
+        """Number of actuated joints."""
+        return len(self.joint_names)

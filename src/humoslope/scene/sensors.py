@@ -1,0 +1,63 @@
+"""The MuJoCo sensors behind the named signals, added to any robot's spec."""
+
+from __future__ import annotations
+
+import mujoco
+from mujoco import mjtObj, mjtSensor
+
+from humoslope.scene.robot import Robot
+
+TERRAIN_GEOM = "terrain"
+"""Name of the geom that carries the ground."""
+
+SIDES = ("left", "right")
+
+
+def add_robot_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Adds joint, root, centre-of-mass and foot sensors, under the names that `Signals` reads."""
+
+    def add(name: str, kind: mjtSensor, objtype: mjtObj, objname: str) -> None:
+        spec.add_sensor(name=name, type=kind, objtype=objtype, objname=objname)
+
+    for joint in robot.joint_names:
+        add(f"joint_pos/{joint}", mjtSensor.mjSENS_JOINTPOS, mjtObj.mjOBJ_JOINT, joint)
+    for joint in robot.joint_names:
+        add(f"joint_vel/{joint}", mjtSensor.mjSENS_JOINTVEL, mjtObj.mjOBJ_JOINT, joint)
+    add("root_pos_w", mjtSensor.mjSENS_FRAMEPOS, mjtObj.mjOBJ_XBODY, robot.root_body)
+    add("root_quat_w", mjtSensor.mjSENS_FRAMEQUAT, mjtObj.mjOBJ_XBODY, robot.root_body)
+    add("root_lin_vel_w", mjtSensor.mjSENS_FRAMELINVEL, mjtObj.mjOBJ_XBODY, robot.root_body)
+    add("root_ang_vel_b", mjtSensor.mjSENS_GYRO, mjtObj.mjOBJ_SITE, robot.imu_site)
+    add("torso_quat_w", mjtSensor.mjSENS_FRAMEQUAT, mjtObj.mjOBJ_XBODY, robot.torso_body)
+    add("torso_ang_vel_w", mjtSensor.mjSENS_FRAMEANGVEL, mjtObj.mjOBJ_XBODY, robot.torso_body)
+    add("com_pos_w", mjtSensor.mjSENS_SUBTREECOM, mjtObj.mjOBJ_BODY, robot.root_body)
+    add("com_lin_vel_w", mjtSensor.mjSENS_SUBTREELINVEL, mjtObj.mjOBJ_BODY, robot.root_body)
+    for signal, kind in (
+        ("foot_pos_w", mjtSensor.mjSENS_FRAMEPOS),
+        ("foot_normal_w", mjtSensor.mjSENS_FRAMEZAXIS),
+        ("foot_lin_vel_w", mjtSensor.mjSENS_FRAMELINVEL),
+    ):
+        for side, site in zip(SIDES, robot.foot_sites, strict=True):
+            add(f"{signal}/{side}", kind, mjtObj.mjOBJ_SITE, site)
+
+
+def add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Adds the net ground force on each foot and on the whole robot, world frame. The terrain geom must be in the spec."""
+    bodies = dict(zip((f"foot_force_w/{side}" for side in SIDES), robot.foot_bodies, strict=True))
+    for name, body in bodies.items():
+        _add_ground_force(spec, name, mjtObj.mjOBJ_BODY, body)
+    _add_ground_force(spec, "robot_force_w", mjtObj.mjOBJ_XBODY, robot.root_body)
+
+
+def _add_ground_force(spec: mujoco.MjSpec, name: str, objtype: mjtObj, body: str) -> None:
+    # intprm: data bits, reduction (3 = net force, world frame), slots. MuJoCo gives the force of the first object on the second, so the
+    # ground comes first. As a reference, an XBODY stands for the body's whole subtree.
+    force_bit = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
+    spec.add_sensor(
+        name=name,
+        type=mjtSensor.mjSENS_CONTACT,
+        objtype=mjtObj.mjOBJ_GEOM,
+        objname=TERRAIN_GEOM,
+        reftype=objtype,
+        refname=body,
+        intprm=[force_bit, 3, 1],
+    )

@@ -1,0 +1,53 @@
+"""Which fields of the model and of its data a simulation gives access to, alike for every backend."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import torch
+from torch import Tensor
+
+from humoslope.errors import UserError, unknown
+
+STATE_FIELDS = ("qpos", "qvel", "ctrl", "xfrc_applied", "time")
+"""What the caller may write: fields that are part of the state or drive it."""
+
+
+def check_state(field: str) -> None:
+    """Raises UserError unless `field` can be had with `Simulation.state`."""
+    if field not in STATE_FIELDS:
+        raise unknown("state field", field, STATE_FIELDS)
+
+
+def check_reading(model: mujoco.MjModel, field: str) -> None:
+    """Raises UserError unless `field` is an array of `MjData` that a step computes."""
+    if field in STATE_FIELDS:
+        raise UserError(f"'{field}' is a state field; take it with state('{field}').")
+    known = _array_names(mujoco.MjData(model))
+    if field not in known:
+        raise unknown("reading", field, known)
+
+
+def check_model_field(model: mujoco.MjModel, field: str) -> None:
+    """Raises UserError unless `field` is a floating-point array of `MjModel`."""
+    known = [name for name in _array_names(model) if np.issubdtype(getattr(model, name).dtype, np.floating)]
+    if field not in known:
+        raise unknown("model field", field, known)
+
+
+def no_access(field: str, backend: str) -> UserError:
+    """The error for a field that MuJoCo has but a backend does not."""
+    return UserError(f"MuJoCo has '{field}', but the {backend} backend gives no access to it per world.")
+
+
+def check_reset(model: mujoco.MjModel, num_worlds: int, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
+    """Raises ValueError unless the arguments of `Simulation.reset` have the shapes it documents."""
+    shapes = (tuple(mask.shape), tuple(qpos.shape), tuple(qvel.shape))
+    right = ((num_worlds,), (num_worlds, model.nq), (num_worlds, model.nv))
+    if shapes != right or mask.dtype != torch.bool:
+        raise ValueError(f"reset takes a bool mask, qpos and qvel of shapes {right}, not {mask.dtype} {shapes}")
+
+
+def _array_names(struct: mujoco.MjModel | mujoco.MjData) -> list[str]:
+    names = (name for name in dir(struct) if not name.startswith("_"))
+    return [name for name in names if isinstance(getattr(struct, name), np.ndarray)]

@@ -1,0 +1,122 @@
+"""C MuJoCo on a pool of CPU threads (mjbatch)."""
+
+from __future__ import annotations
+
+import mjbatch
+import mujoco
+import numpy as np
+import torch
+from mujoco import mjtState, mjtWarning
+from numpy.typing import NDArray
+from torch import Tensor
+
+from humoslope.errors import UserError
+from humoslope.sim.fields import STATE_FIELDS, check_model_field, check_reading, check_reset, check_state, no_access
+
+# mj_step puts a world with a bad position, velocity or acceleration back to its initial state and goes on, and takes a
+# bad control as zero; all it leaves of the accident is a counter.
+_FIRST_BAD = int(mjtWarning.mjWARN_BADQPOS)
+_FULL = ("contact", "constraint")
+_FULL_KINDS = [int(mjtWarning.mjWARN_CONTACTFULL), int(mjtWarning.mjWARN_CNSTRFULL)]
+
+_FRAMES = ("body_ipos", "body_iquat", "geom_pos", "geom_quat", "site_pos", "site_quat")
+
+
+class NativeSimulation:
+    """`Simulation` on the CPU. State is float64 and steps are those of `mj_step`, bit for bit.
+
+    A reading holds zeros between the first `read` of it and the next step or reset.
+    """
+
+    backend = "native"
+
+    def __init__(self, model: mujoco.MjModel, num_worlds: int, num_threads: int = 0) -> None:
+        self.model = model
+        self.num_worlds = num_worlds
+        self.device = torch.device("cpu")
+        self._batch = mjbatch.Batch(model, num_worlds, num_threads)
+        self._rows: NDArray[np.float64] = self._batch.bind("state")  # [N, nstate]
+        self._fresh = _initial_state(model)
+        self._state = {field: self._batch.bind(field) for field in STATE_FIELDS}
+        self._warning: NDArray[np.int32] = self._batch.bind("warning")  # [N, kind, (last info, count)]
+        # Times a buffer was full in runs that were reset since, and times that were reported.
+        self._full_before = np.zeros(len(_FULL), dtype=np.int64)
+        self._full_told = np.zeros(len(_FULL), dtype=np.int64)
+
+    def read(self, field: str) -> Tensor:
+        """See `Simulation.read`."""
+        check_reading(self.model, field)
+        try:
+            return torch.from_numpy(self._batch.bind(field, np.float32))
+        except ValueError:
+            raise no_access(field, self.backend) from None
+
+    def state(self, field: str) -> Tensor:
+        """See `Simulation.state`. A strided float64 view into the rows that the physics reads."""
+        check_state(field)
+        return torch.from_numpy(self._state[field])
+
+    def expand(self, field: str) -> Tensor:
+        """See `Simulation.expand`. Float64, so that worlds left alone keep the model's exact values."""
+        check_model_field(self.model, field)
+        try:
+            values = torch.from_numpy(self._batch.expand(field))
+        except ValueError:
+            raise no_access(field, self.backend) from None
+        if field in _FRAMES:
+            # The compiler marks frames that coincide, and mj_kinematics copies one instead of computing the other. Once
+            # a frame moves, the marks would lock its neighbours to it, or it to its body.
+            for marks in ("body_sameframe", "geom_sameframe", "site_sameframe"):
+                self._batch.expand(marks)[:] = 0
+        return values
+
+    def recompute_constants(self) -> None:
+        """See `Simulation.recompute_constants`."""
+        self._batch.set_const()
+
+    def step(self, n: int) -> None:
+        """See `Simulation.step`."""
+        try:
+            self._batch.step(nstep=n)
+        except RuntimeError as error:
+            if "out of memory" not in str(error):
+                raise
+            raise UserError("MuJoCo's memory is full of contacts; raise <size memory> in the model.") from error
+
+    def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
+        """See `Simulation.reset`."""
+        check_reset(self.model, self.num_worlds, mask, qpos, qvel)
+        chosen = mask.numpy()
+        if not chosen.any():
+            return
+        self._rows[chosen] = self._fresh
+        self._state["qpos"][chosen] = qpos.numpy()[chosen]
+        self._state["qvel"][chosen] = qvel.numpy()[chosen]
+        self._full_before += self._warning[chosen][:, _FULL_KINDS, 1].sum(axis=0)
+        self._warning[chosen] = 0
+        self._batch.forward(ids=chosen)
+
+    def diverged(self) -> Tensor:
+        """See `Simulation.diverged`."""
+        bad = self._warning[:, _FIRST_BAD:, 1].any(axis=1)
+        # A NaN anywhere makes the sum NaN; only the last physics step of a call can leave one uncounted.
+        total = self._state["qpos"].sum(axis=1) + self._state["qvel"].sum(axis=1)
+        return torch.from_numpy(bad | ~np.isfinite(total))
+
+    def warnings(self) -> list[str]:
+        """See `Simulation.warnings`. Both buffers live in the model's arena, whose size is `<size memory="...">`."""
+        counts = self._full_before + self._warning[:, _FULL_KINDS, 1].sum(axis=0)
+        new, self._full_told = counts - self._full_told, counts
+        return [
+            f"the {name} buffer was full {times} times, so {name}s were lost; raise <size memory> in the model."
+            for name, times in zip(_FULL, new, strict=True)
+            if times > 0
+        ]
+
+
+def _initial_state(model: mujoco.MjModel) -> NDArray[np.float64]:
+    data = mujoco.MjData(model)
+    kind = mjtState.mjSTATE_INTEGRATION
+    row = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, row, kind)
+    return row

@@ -1,0 +1,1 @@
+"""The mathematics of slopes as pure tensor functions."""

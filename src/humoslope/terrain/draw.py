@@ -1,0 +1,143 @@
+"""A terrain on paper: its tile seen from the side and from above, at several levels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from humoslope.errors import UserError
+from humoslope.terrain import registry
+from humoslope.terrain.grid import SPAWN_X, TerrainGrid, tile_points
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+DIFFICULTIES = (0.0, 0.25, 0.5, 0.75, 1.0)
+INK = "#333333"
+
+
+def run(
+    name: str,
+    out: Path,
+    *,
+    seed: int = 0,
+    difficulties: Sequence[float] = DIFFICULTIES,
+    grid: TerrainGrid | None = None,
+) -> Path:
+    """Writes a PNG of a registered terrain: profiles along the centre line, and relief coloured by the local grade.
+
+    Args:
+        name: Of the terrain.
+        out: Where to write; folders are made.
+        seed: Of the random numbers; the picture shows the tiles of column 0.
+        difficulties: In [0, 1], one tile each; a terrain of one grade is drawn once.
+        grid: Gives tile size and cell; by default those of `TerrainGrid`.
+    Returns:
+        Where it was written.
+    Raises:
+        UserError: No such terrain, no or impossible difficulties, or a place that cannot be written to.
+    """
+    if not difficulties or not all(0.0 <= difficulty <= 1.0 for difficulty in difficulties):
+        raise UserError(f"terrain '{name}': difficulties are {list(difficulties)}; give one or more between 0 and 1.")
+    kind = registry.find(name)
+    if kind.grade[0] == kind.grade[1]:
+        difficulties = difficulties[:1]
+    grid = grid or TerrainGrid(columns={name: 1.0})
+    x, y = tile_points(grid.tile_length, grid.tile_width, grid.cell)
+    tiles = []
+    for level, difficulty in enumerate(difficulties):
+        grade = kind.grade_at(difficulty)
+        tiles.append((grade, kind.heights(x, y, grade, np.random.default_rng((seed, 0, level)))))
+    out = out if out.suffix else out.with_suffix(".png")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        _draw(name, x, y, tiles, out)
+    except OSError as error:
+        raise UserError(f"cannot write the picture of terrain '{name}' to {out}: {error.strerror}.") from None
+    return out
+
+
+def local_grade(heights: registry.Array, cell: float) -> registry.Array:
+    """Steepest grade of every cell's mean plane in degrees, [nx - 1, ny - 1] from heights [nx, ny] in metres."""
+    rise = np.diff(heights, axis=0)
+    bank = np.diff(heights, axis=1)
+    along_x = 0.5 * (rise[:, 1:] + rise[:, :-1])
+    along_y = 0.5 * (bank[1:] + bank[:-1])
+    return np.degrees(np.arctan(np.hypot(along_x, along_y) / cell))
+
+
+def _draw(
+    name: str, x: registry.Array, y: registry.Array, tiles: list[tuple[float, registry.Array]], out: Path
+) -> None:
+    # Drawn without pyplot, so that neither a screen nor the backend the user chose matters.
+    from matplotlib import colormaps
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    cell = float(x[1, 0] - x[0, 0])
+    grades = [local_grade(heights, cell) for _, heights in tiles]
+    steepest = max(5.0, *(float(np.percentile(grade, 99.0)) for grade in grades))
+    colour = ScalarMappable(Normalize(0.0, steepest), colormaps["viridis"])
+
+    columns = min(len(tiles), 3)
+    rows = -(-len(tiles) // columns)
+    extent = (float(x.min()), float(x.max()), float(y.min()), float(y.max()))
+    # Tiles keep their proportions, so the height of the page follows from its width.
+    relief_height = rows * (9.6 / columns * (extent[3] - extent[2]) / extent[1] + 0.3) + 0.5
+    figure = Figure(figsize=(11.0, 3.2 + relief_height), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(f"{name}: {_range(tiles[0][0], tiles[-1][0])}", color=INK, fontsize=13)
+    parts = np.asarray(figure.subfigures(2, 1, height_ratios=(2.8, relief_height)))
+    top, bottom = parts[0], parts[1]
+    _draw_profiles(top.subplots(), x, y, tiles)
+
+    axes = bottom.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for index, axis in enumerate(axes):
+        axis.tick_params(labelsize=8, colors=INK, labelbottom=index + columns >= len(tiles))
+        axis.set_visible(index < len(tiles))
+    for axis, (grade, heights), local in zip(axes, tiles, grades, strict=False):
+        rgb = colour.to_rgba(local)[..., :3] * _shade(heights, cell)[..., None]
+        axis.imshow(np.clip(rgb, 0.0, 1.0).transpose(1, 0, 2), origin="lower", extent=extent, interpolation="nearest")
+        axis.plot(SPAWN_X, 0.0, "o", color="white", markeredgecolor=INK, markersize=5)
+        axis.set_title(f"grade {grade:.1f}°", fontsize=9, color=INK, loc="left", pad=3)
+    bottom.supxlabel("along the direction of travel, m", fontsize=9, color=INK)
+    bottom.supylabel("across, m", fontsize=9, color=INK)
+    bottom.colorbar(colour, ax=list(axes), label="local grade, degrees", extend="max", aspect=30, pad=0.01)
+    figure.savefig(out, dpi=130)
+
+
+def _draw_profiles(axis: Axes, x: registry.Array, y: registry.Array, tiles: list[tuple[float, registry.Array]]) -> None:
+    """Heights along the centre line; the steeper the tile, the darker its line."""
+    middle = y.shape[1] // 2
+    for index, (grade, heights) in enumerate(tiles):
+        tone = 0.1 + 0.65 * (1.0 - (index + 1) / len(tiles))
+        axis.plot(x[:, middle], heights[:, middle], color=str(tone), linewidth=1.5, label=f"grade {grade:.1f}°")
+    axis.axvline(SPAWN_X, color="#b03a2e", linewidth=1.0, linestyle=":", label="start")
+    low, high = axis.get_ylim()
+    if high - low < 0.4:  # a flat line needs room to look flat
+        axis.set_ylim(0.5 * (low + high) - 0.2, 0.5 * (low + high) + 0.2)
+    axis.set_xlim(float(x.min()), float(x.max()))
+    axis.set_ylabel("height on the\ncentre line, m", fontsize=9, color=INK)
+    axis.tick_params(labelsize=8, colors=INK)
+    axis.grid(color="0.9")
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), reverse=True)
+
+
+def _range(low: float, high: float) -> str:
+    return f"grade {low:g}°" if low == high else f"grades {low:g}° to {high:g}°"
+
+
+def _shade(heights: registry.Array, cell: float) -> registry.Array:
+    """Brightness of every cell under a light from the upper left, about 1, shape [nx - 1, ny - 1]."""
+    slope_x = np.diff(heights, axis=0)[:, :-1] / cell
+    slope_y = np.diff(heights, axis=1)[:-1] / cell
+    light = np.array((-0.45, 0.45, 0.77))
+    cosine = (-slope_x * light[0] - slope_y * light[1] + light[2]) / np.sqrt(1.0 + slope_x**2 + slope_y**2)
+    return np.clip(cosine / light[2], 0.55, 1.3)

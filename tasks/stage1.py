@@ -1,0 +1,145 @@
+"""Stage I: learn to balance and walk, blind, on mixed slopes (paper, section 3.1)."""
+
+from __future__ import annotations
+
+import math
+
+from humoslope.env import EnvCfg, SceneCfg
+from humoslope.managers import (
+    EventTerm,
+    ObservationGroup,
+    ObservationTerm,
+    RewardTerm,
+    Term,
+    TerminationTerm,
+    Terms,
+    VelocityCommand,
+)
+from humoslope.mdp import balance, curricula, events, harness, observations, rewards, terminations
+from humoslope.registry import TaskCfg, task
+from humoslope.rl.config import AgentCfg
+from robots.unitree_g1 import UNITREE_G1
+from terrains.stage1 import stage1 as stage1_terrain
+
+# Scales and noise of Unitree RL Lab's velocity task.
+PROPRIOCEPTION = {
+    "base_ang_vel": (observations.base_ang_vel, 0.2, 0.2),
+    "projected_gravity": (observations.projected_gravity, 0.05, 1.0),
+    "velocity_command": (observations.velocity_command, 0.0, 1.0),
+    "joint_pos_rel": (observations.joint_pos_rel, 0.01, 1.0),
+    "joint_vel": (observations.joint_vel, 1.5, 0.05),
+    "last_action": (observations.last_action, 0.0, 1.0),
+}
+
+
+def proprioception() -> Terms[ObservationTerm]:
+    """What the robot measures itself; all the actor ever sees."""
+    return Terms(**{name: ObservationTerm(func, noise=noise, scale=scale) for name, (func, noise, scale) in PROPRIOCEPTION.items()})
+
+
+def actor_group() -> ObservationGroup:
+    """Noisy proprioception over five control steps."""
+    return ObservationGroup(terms=proprioception(), history=5, corrupt=True)
+
+
+def critic_group() -> ObservationGroup:
+    """Clean proprioception and what only a simulator knows: velocity, contacts, friction, and H49, the ground around the robot."""
+    terms = proprioception()
+    terms.base_lin_vel = ObservationTerm(observations.base_lin_vel)
+    terms.foot_contact = ObservationTerm(observations.foot_contact)
+    terms.foot_load = ObservationTerm(observations.foot_load)
+    terms.foot_height = ObservationTerm(observations.foot_height, scale=5.0)
+    terms.friction = ObservationTerm(observations.friction)
+    terms.height_scan = ObservationTerm(observations.height_scan)
+    return ObservationGroup(terms=terms)
+
+
+def base_rewards() -> Terms[RewardTerm]:
+    """Unitree RL Lab's list with these changes: velocity and height refer to the ground; the pelvis may lean with the slope; instead of a
+    gait clock that the policy cannot see, time on one leg is rewarded; a fall costs."""
+    return Terms(
+        track_velocity=RewardTerm(rewards.track_slope_velocity_exp, {"std": 0.5}, weight=2.0),
+        track_yaw_rate=RewardTerm(rewards.track_yaw_rate_exp, {"std": 0.5}, weight=1.0),
+        alive=RewardTerm(rewards.alive, weight=0.15),
+        fall=RewardTerm(rewards.fall, weight=-100.0),
+        slope_normal_velocity=RewardTerm(rewards.slope_normal_velocity_l2, weight=-1.0),
+        ang_vel_xy=RewardTerm(rewards.ang_vel_xy_l2, weight=-0.05),
+        roll=RewardTerm(rewards.roll_l2, weight=-3.0),
+        pitch=RewardTerm(rewards.pitch_l2, {"slope_share": 0.7}, weight=-1.5),
+        root_height=RewardTerm(rewards.root_height_l2, {"target": 0.75}, weight=-5.0),
+        joint_acc=RewardTerm(rewards.JointAccelerationL2, weight=-2e-7),
+        action_rate=RewardTerm(rewards.action_rate_l2, weight=-0.02),
+        joint_limits=RewardTerm(rewards.joint_pos_limits, {"soft": 0.9}, weight=-3.0),
+        energy=RewardTerm(rewards.energy, weight=-2e-5),
+        arm_deviation=RewardTerm(rewards.joint_deviation_l1, {"joints": ".*(shoulder|elbow|wrist).*"}, weight=-0.1),
+        waist_deviation=RewardTerm(rewards.joint_deviation_l1, {"joints": "waist.*"}, weight=-0.5),
+        hip_deviation=RewardTerm(rewards.joint_deviation_l1, {"joints": ".*hip_(roll|yaw).*"}, weight=-0.5),
+        single_stance=RewardTerm(rewards.SingleStance, {"cap": 0.4}, weight=1.5),
+        foot_slide=RewardTerm(rewards.foot_slide, weight=-0.2),
+        foot_clearance=RewardTerm(
+            rewards.foot_clearance_exp, {"target": 0.08, "std": math.sqrt(0.02), "speed_scale": 2.0}, weight=0.5
+        ),
+        body_contact=RewardTerm(rewards.body_contact, {"force": 1.0}, weight=-1.0),
+    )
+
+
+def falls() -> Terms[TerminationTerm]:
+    """An episode fails when the robot is down or about to be; it merely ends at its time or at the tile's edge."""
+    return Terms(
+        time_out=TerminationTerm(terminations.time_out, time_out=True),
+        off_tile=TerminationTerm(terminations.off_tile, {"margin": 0.3}, time_out=True),
+        root_too_low=TerminationTerm(terminations.root_too_low, {"height": 0.4}),
+        tilted=TerminationTerm(terminations.tilted, {"degrees": 55.0}),
+    )
+
+
+def randomisation() -> Terms[EventTerm]:
+    """What differs from world to world and from episode to episode, and the harness."""
+    return Terms(
+        mass=EventTerm(events.randomize_mass, {"body": "torso_link", "added": (-1.0, 3.0)}, mode="startup"),
+        com=EventTerm(events.randomize_com, {"body": "torso_link", "offset": 0.03}, mode="startup"),
+        gains=EventTerm(events.randomize_gains, {"stiffness": (0.9, 1.1), "damping": (0.9, 1.1)}, mode="startup"),
+        friction=EventTerm(events.randomize_friction, {"friction": (0.3, 1.6), "slope_margin": 0.15}),
+        root=EventTerm(events.reset_on_tile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
+        joints=EventTerm(events.reset_joints, {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}),
+        push=EventTerm(events.push, {"speed": 0.5}, mode="interval", interval_s=(5.0, 8.0)),
+        harness=EventTerm(harness.Harness, mode="step"),
+    )
+
+
+@task("HumoSlope-Stage1-Unitree-G1")
+def stage1() -> TaskCfg:
+    """Stage I: balance on mixed slopes with the slope-adaptive ZMP regulariser."""
+    rewards_ = base_rewards()
+    rewards_.zmp = RewardTerm(balance.ZmpRegulariser, weight=0.5)
+    return TaskCfg(
+        env=EnvCfg(
+            scene=SceneCfg(robot=UNITREE_G1, terrain=stage1_terrain()),
+            command=VelocityCommand(),
+            observations=Terms(actor=actor_group(), critic=critic_group()),
+            rewards=rewards_,
+            terminations=falls(),
+            events=randomisation(),
+            curriculum=Terms(
+                harness=Term(harness.WithdrawHarness),
+                terrain_levels=Term(curricula.TerrainLevels, {"harness": "harness"}),
+            ),
+        ),
+        agent=AgentCfg(),
+    )
+
+
+@task("HumoSlope-Stage1-NoZMP-Unitree-G1")
+def stage1_no_zmp() -> TaskCfg:
+    """Ablation of Stage I: no ZMP regulariser."""
+    cfg = stage1()
+    cfg.env.rewards.zmp = None
+    return cfg
+
+
+@task("HumoSlope-Stage1-HorizontalZMP-Unitree-G1")
+def stage1_horizontal_zmp() -> TaskCfg:
+    """Ablation of Stage I: ZMP regulariser on the world-horizontal plane."""
+    cfg = stage1()
+    cfg.env.rewards.zmp.params["plane"] = "horizontal"
+    return cfg

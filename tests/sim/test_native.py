@@ -1,0 +1,46 @@
+"""What only the native backend promises."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from humoslope.errors import UserError
+from humoslope.sim import make_simulation
+
+
+def test_native_worlds_step_as_mj_step_bit_for_bit(g1_on_plane: mujoco.MjModel) -> None:
+    simulation = make_simulation(g1_on_plane, 1, "native", num_threads=1)
+    data = mujoco.MjData(g1_on_plane)
+    data.qpos[:] = g1_on_plane.key_qpos[0]
+    simulation.reset(torch.ones(1, dtype=torch.bool), torch.tensor(data.qpos)[None], torch.zeros(1, g1_on_plane.nv))
+    for k in range(100):
+        data.ctrl[:] = g1_on_plane.key_qpos[0, 7:] + 0.2 * np.sin(0.1 * k + np.arange(g1_on_plane.nu))
+        simulation.state("ctrl").copy_(torch.tensor(data.ctrl)[None])
+        mujoco.mj_step(g1_on_plane, data)
+        simulation.step(1)
+        assert np.array_equal(simulation.state("qpos")[0].numpy(), data.qpos)
+    assert data.ncon > 0
+
+
+def test_memory_too_small_for_the_contacts_is_a_sentence() -> None:
+    boxes = "".join(f"<body pos='{x} 0 .09'><freejoint/><geom type='box' size='.1 .1 .1'/></body>" for x in range(30))
+    ground = "<geom type='plane' size='0 0 1'/>"
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><size memory='200K'/><worldbody>{ground}{boxes}</worldbody></mujoco>"
+    )
+    simulation = make_simulation(model, 1, "native", num_threads=1)
+    with pytest.raises(UserError, match="raise <size memory>"):
+        simulation.step(1)
+
+
+def test_the_number_of_threads_does_not_change_the_motion(rig: mujoco.MjModel) -> None:
+    ends = []
+    for threads in (1, 2):
+        simulation = make_simulation(rig, 4, "native", num_threads=threads)
+        simulation.state("ctrl").copy_(torch.arange(4.0)[:, None] / 4)
+        simulation.step(50)
+        ends.append(simulation.state("qpos").clone())
+    assert torch.equal(*ends)

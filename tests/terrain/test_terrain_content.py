@@ -1,0 +1,81 @@
+"""Profiles and surfaces are what they say, and add up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from humoslope.terrain import registry
+from humoslope.terrain.grid import tile_points
+from terrains.profiles import Segment, ramp, ramp_down, track
+from terrains.surfaces import SPAWN, banked, rough, smooth, striped, wavy
+
+X, Y = tile_points(10.0, 5.0, 0.1)
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+SURFACES = {
+    "smooth": lambda: smooth(X),
+    "wavy": lambda: wavy(X),
+    "banked": lambda: banked(X, Y, 8.0),
+    "rough": lambda: rough(X, Y, rng()),
+    "striped": lambda: striped(X),
+}
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_a_surface_leaves_the_place_where_robots_start_alone(name: str) -> None:
+    np.testing.assert_array_equal(SURFACES[name]()[X <= SPAWN], 0.0)
+
+
+@settings(deadline=None)
+@given(grade=st.floats(-40, 40), start=st.floats(0, 5), length=st.floats(0, 5))
+def test_a_ramp_rises_by_its_length_times_the_tangent_of_its_grade(grade: float, start: float, length: float) -> None:
+    heights = ramp(X, grade, start, length)
+    assert heights[0, 0] == 0.0
+    assert heights[-1, 0] == pytest.approx(length * np.tan(np.radians(grade)))
+    np.testing.assert_allclose(heights, -ramp_down(X, grade, start, length))
+
+
+@settings(deadline=None)
+@given(grade=st.floats(-40, 40), start=st.floats(0, 4), length=st.floats(0.1, 4))
+def test_a_ramp_is_a_track_of_a_flat_a_slope_and_a_flat(grade: float, start: float, length: float) -> None:
+    segments = [Segment(start, 0.0), Segment(length, grade)]
+    np.testing.assert_allclose(track(X, segments), ramp(X, grade, start, length), atol=1e-9)
+
+
+def test_banked_ground_tilts_by_its_angle() -> None:
+    tilt = np.degrees(np.arctan(np.diff(banked(X, Y, 8.0), axis=1) / 0.1))
+    np.testing.assert_allclose(tilt[X[:, 0] > 2.1], 8.0)
+
+
+def test_bumps_stay_within_their_amplitude_and_reach_most_of_it() -> None:
+    assert 0.028 < np.abs(rough(X, Y, rng(), 0.03)).max() <= 0.03
+
+
+def test_bumps_are_the_same_ground_on_a_finer_grid() -> None:
+    x, y = tile_points(10.0, 5.0, 0.05)
+    np.testing.assert_allclose(rough(x, y, rng())[::2, ::2], rough(X, Y, rng()), atol=1e-12)
+
+
+@pytest.mark.parametrize("period", [0.4, 0.5])
+def test_ribs_are_as_high_as_asked_with_level_ground_between(period: float) -> None:
+    ribs = striped(X, 0.03, period)[20:, 0]
+    assert ribs.max() == pytest.approx(0.03)
+    assert ribs.min() == 0.0
+    assert (ribs > 0.015).sum() == pytest.approx(8.0 / period, abs=1.0)
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_no_kind_asks_a_robot_to_climb_a_step_inside_its_tile(name: str) -> None:
+    kind = registry.find(name)
+    for seed in range(10):
+        heights = kind.heights(X, Y, kind.grade[1], np.random.default_rng(seed))
+        steepest = np.tan(np.radians(32.0)) * 0.1 + 0.06  # a ramp, and one bump from lowest to highest
+        assert np.abs(np.diff(heights, axis=0)).max() <= steepest + 1e-9
+        assert np.abs(np.diff(heights, axis=1)).max() <= 0.06 + 1e-9
