@@ -16,9 +16,11 @@ CONTACT_FORCE = 1.0
 
 
 class Signals:
-    """What terms read of the world. `refresh` takes everything anew; the tensors of the last refresh are never written again.
+    """What terms read of the world. `refresh` takes everything anew; the tensors of the last refresh are never written
+    again.
 
-    Frames: `_w` world, `_b` root body, `_t` along the ground: forward in the heading direction, left, and out of the slope.
+    Frames: `_w` world, `_b` root body, `_t` along the ground: forward in the heading direction, left, and out of the
+    slope.
 
     Attributes:
         joint_pos, joint_vel, joint_acc, joint_torque: [N, J] rad, rad/s, rad/s^2, Nm.
@@ -31,7 +33,8 @@ class Signals:
         slope_pitch: [N] inclination of the ground in the heading direction, rad, positive uphill.
         torso_up_b, torso_ang_vel_w: [N, 3] the vertical seen from the torso; rad/s.
         com_pos_w, com_lin_vel_w: [N, 3] of the whole robot.
-        foot_pos_w, foot_normal_w, foot_lin_vel_w, foot_force_w: [N, 2, 3] sole centre, sole's up axis, m/s, ground force in N.
+        foot_pos_w, foot_normal_w, foot_lin_vel_w, foot_force_w: [N, 2, 3] sole centre, sole's up axis, m/s, ground
+            force in N.
         foot_height: [N, 2] sole centre above the ground below it, m.
         foot_contact: [N, 2] bool.
         body_force: [N] ground force on everything but the feet, N.
@@ -43,10 +46,17 @@ class Signals:
         self._actuator_force = sim.read("actuator_force")  # [N, J]
         self._qacc = sim.read("qacc")  # [N, 6 + J]
         model = sim.model
-        self._slices = {model.sensor(i).name: slice(model.sensor_adr[i], model.sensor_adr[i] + model.sensor_dim[i]) for i in range(model.nsensor)}
+        self._slices = {
+            model.sensor(i).name: slice(model.sensor_adr[i], model.sensor_adr[i] + model.sensor_dim[i])
+            for i in range(model.nsensor)
+        }
         joints = robot.joint_names
-        self._joint_pos = slice(self._slices[f"joint_pos/{joints[0]}"].start, self._slices[f"joint_pos/{joints[-1]}"].stop)
-        self._joint_vel = slice(self._slices[f"joint_vel/{joints[0]}"].start, self._slices[f"joint_vel/{joints[-1]}"].stop)
+        self._joint_pos = slice(
+            self._slices[f"joint_pos/{joints[0]}"].start, self._slices[f"joint_pos/{joints[-1]}"].stop
+        )
+        self._joint_vel = slice(
+            self._slices[f"joint_vel/{joints[0]}"].start, self._slices[f"joint_vel/{joints[-1]}"].stop
+        )
         self.refresh()
 
     def refresh(self) -> None:
@@ -91,7 +101,8 @@ class Signals:
         self.slope_normal_w = self._terrain.slope_normal(self.root_pos_w[:, :2])
         n = self.slope_normal_w
         cos, sin = self.heading_w.cos(), self.heading_w.sin()
-        # The forward direction is the one in the tangent plane that lies over the heading: its rise follows from n . t = 0.
+        # The forward direction is the one in the tangent plane that lies over the heading: its rise follows from n . t
+        # = 0.
         rise = -(n[:, 0] * cos + n[:, 1] * sin) / n[:, 2]
         self.slope_pitch = torch.atan(rise)
         self._forward_w = torch.nn.functional.normalize(torch.stack([cos, sin, rise], dim=1), dim=1)
@@ -99,7 +110,8 @@ class Signals:
         self.root_lin_vel_t = self.along_ground(self.root_lin_vel_w)
 
     def along_ground(self, v: Tensor) -> Tensor:
-        """Vectors `v` [N, 3] of the world frame, in the slope frame of the robot's heading: forward, left, out of the ground."""
+        """Vectors `v` [N, 3] of the world frame, in the slope frame of the robot's heading: forward, left, out of the
+        ground."""
         forward, left, n = self._forward_w, self._left_w, self.slope_normal_w
         return torch.stack([(v * forward).sum(dim=1), (v * left).sum(dim=1), (v * n).sum(dim=1)], dim=1)
 
@@ -109,5 +121,6 @@ class Signals:
 
 
 def _finite(x: Tensor) -> Tensor:
-    """A fresh copy without NaN or infinity: a diverged world must not spread into sums over worlds before it is reset."""
+    """A fresh copy without NaN or infinity: a diverged world must not spread into sums over worlds before it is
+    reset."""
     return torch.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0)

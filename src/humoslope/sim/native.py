@@ -38,6 +38,7 @@ class NativeSimulation:
         self._rows: NDArray[np.float64] = self._batch.bind("state")  # [N, nstate]
         self._fresh = _initial_state(model)
         self._state = {field: self._batch.bind(field) for field in STATE_FIELDS}
+        self._expanded: dict[str, Tensor] = {}
         self._warning: NDArray[np.int32] = self._batch.bind("warning")  # [N, kind, (last info, count)]
         # Times a buffer was full in runs that were reset since, and times that were reported.
         self._full_before = np.zeros(len(_FULL), dtype=np.int64)
@@ -58,6 +59,8 @@ class NativeSimulation:
 
     def expand(self, field: str) -> Tensor:
         """See `Simulation.expand`. Float64, so that worlds left alone keep the model's exact values."""
+        if field in self._expanded:
+            return self._expanded[field]
         check_model_field(self.model, field)
         try:
             values = torch.from_numpy(self._batch.expand(field))
@@ -68,6 +71,7 @@ class NativeSimulation:
             # a frame moves, the marks would lock its neighbours to it, or it to its body.
             for marks in ("body_sameframe", "geom_sameframe", "site_sameframe"):
                 self._batch.expand(marks)[:] = 0
+        self._expanded[field] = values
         return values
 
     def recompute_constants(self) -> None:

@@ -75,6 +75,7 @@ class WarpSimulation:
         # A robot that lies down touches the ground with more geoms than nconmax allows for the average world.
         self._m.opt.contact_sensor_maxmatch = max(self._m.opt.contact_sensor_maxmatch, 2 * nconmax)
         self._graphs: dict[str, Any] = {}
+        self._expanded: dict[str, Tensor] = {}
         self._readings: dict[str, tuple[Tensor, Tensor]] = {}  # what was handed out, and MuJoCo-Warp's own array
         self._qpos, self._qvel = self.state("qpos"), self.state("qvel")
         zeroed = ("ctrl", "xfrc_applied", "qfrc_applied", "qacc_warmstart", "act", "time")
@@ -96,11 +97,13 @@ class WarpSimulation:
 
     def expand(self, field: str) -> Tensor:
         """See `Simulation.expand`. Float32."""
-        check_model_field(self.model, field)
-        shape = getattr(self.model, field).shape
-        self._view(self._m, field, shape)  # raises if there is no such array
-        self._tile(self._m, field)
-        return self._view(self._m, field, shape)
+        if field not in self._expanded:
+            check_model_field(self.model, field)
+            shape = getattr(self.model, field).shape
+            self._view(self._m, field, shape)  # raises if there is no such array
+            self._tile(self._m, field)
+            self._expanded[field] = self._view(self._m, field, shape)
+        return self._expanded[field]
 
     def recompute_constants(self) -> None:
         """See `Simulation.recompute_constants`."""
