@@ -48,8 +48,8 @@ def actor_group() -> ObservationGroup:
 
 
 def critic_group() -> ObservationGroup:
-    """Clean proprioception and what only a simulator knows: velocity, contacts, friction, and H49, the ground around
-    the robot."""
+    """Clean proprioception and what only a simulator knows:
+    velocity, contacts, friction, and H49, the ground around the robot."""
     terms = proprioception()
     terms.base_lin_vel = ObservationTerm(observations.base_lin_vel)
     terms.foot_contact = ObservationTerm(observations.foot_contact)
@@ -61,8 +61,8 @@ def critic_group() -> ObservationGroup:
 
 
 def base_rewards() -> Terms[RewardTerm]:
-    """Unitree RL Lab's list with these changes: velocity and height refer to the ground; the pelvis may lean with the
-    slope; instead of a gait clock that the policy cannot see, time on one leg is rewarded; a fall costs."""
+    """Unitree RL Lab's list with these changes: velocity and height refer to the ground; the pelvis may lean with
+    the slope; instead of a gait clock that the policy cannot see, time on one leg is rewarded; a fall costs."""
     return Terms(
         track_velocity=RewardTerm(rewards.track_slope_velocity_exp, {"std": 0.5}, weight=2.0),
         track_yaw_rate=RewardTerm(rewards.track_yaw_rate_exp, {"std": 0.5}, weight=1.0),

@@ -37,7 +37,7 @@ from humoslope.scene.scene import build_model
 from humoslope.scene.signals import Signals
 from humoslope.scene.tiles import Tiles
 from humoslope.sim import make_simulation
-from humoslope.terrain.grid import TerrainGrid
+from humoslope.terrain.grid import TerrainGrid, TileRow
 from humoslope.terrain.queries import TerrainQueries
 
 STATES_KEPT = 10
@@ -71,7 +71,7 @@ class SceneCfg:
     """The robot and the ground it walks on."""
 
     robot: Robot
-    terrain: TerrainGrid
+    terrain: TerrainGrid | TileRow
 
 
 @dataclass
@@ -164,6 +164,7 @@ class ManagerBasedRlEnv:
         reward = torch.where(broken, 0.0, self.rewards.compute(self.step_dt))
         self.log.add("Train/episode_length", self.episode_length_buf, done)
         self.log.add("Train/falls_per_second", terminated / self.step_dt)
+        self.log.add("Train/speed", self.signals.root_lin_vel_t[:, 0], self.commands.moving)
         self.events.step(self.step_dt)
         self._reset(done)
         self.commands.step(self.step_dt)
@@ -212,7 +213,8 @@ class ManagerBasedRlEnv:
         return broken
 
     def take_wreck(self) -> Tensor | None:
-        """The last states [K, nq + nv] of the first world that diverged since the last call, or None. Waits for the device."""
+        """The last states [K, nq + nv] of the first world that diverged since the last call, or None.
+        Waits for the device."""
         if not self._wrecked.item():
             return None
         self._wrecked = torch.zeros_like(self._wrecked)
@@ -235,7 +237,8 @@ class ManagerBasedRlEnv:
         return {"curriculum": self.curriculum.state_dict(), "level": self.tiles.level.cpu()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict`. Worlds are spread over the saved levels if their number differs; all episodes start anew."""
+        """Continues from `state_dict`.
+        Worlds are spread over the saved levels if their number differs; all episodes start anew."""
         level = state["level"].to(self.device)
         index = torch.arange(self.num_envs, device=self.device) * len(level) // self.num_envs
         self.tiles.set_level(level[index].clamp(max=self.tiles.num_levels - 1))

@@ -61,7 +61,8 @@ def all_tasks() -> dict[str, str]:
 
 
 def load_content() -> None:
-    """Imports the content of a checkout (its `terrains` and `tasks` folders) and of installed packages (entry points `humoslope.tasks`)."""
+    """Imports the content of a checkout (its `terrains` and `tasks` folders)
+    and of installed packages (entry points `humoslope.tasks`)."""
     root = Path(humoslope.__file__).parents[2]
     if (root / "tasks" / "__init__.py").is_file():
         if str(root) not in sys.path:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import terrains  # noqa: F401  registers the kinds
 from humoslope.errors import UserError
-from humoslope.terrain import Terrain, TerrainGrid, registry, terrain
+from humoslope.terrain import Terrain, TerrainGrid, Tile, TileRow, registry, terrain
 from terrains.stage1 import stage1
 
 
@@ -162,3 +162,25 @@ def test_a_name_is_registered_once() -> None:
 def test_a_range_of_grades_that_cannot_be_is_refused(grade: tuple[float, float]) -> None:
     with pytest.raises(UserError, match="give \\(low, high\\) in degrees"):
         terrain("new", grade=grade)
+
+
+def test_a_row_lays_its_tiles_out_side_by_side_as_they_were_asked_for() -> None:
+    kind = registry.find("ramp-up")
+    built = TileRow([Tile(kind, 10.0), Tile(kind, 0.0), Tile(kind, 45.0)], tile_length=12.0).build()
+    assert built.kind == ("ramp-up",) * 3
+    np.testing.assert_array_equal(built.grade, [[10.0, 0.0, 45.0]])
+    for column, grade in enumerate((10.0, 0.0, 45.0)):
+        grade_x = np.degrees(np.arctan(np.diff(tile(built, 0, column).astype(float), axis=0) / 0.1))
+        np.testing.assert_allclose(grade_x[20:100], grade, atol=1e-3)
+
+
+def test_a_row_of_a_grids_tiles_is_that_grid() -> None:
+    grid = TerrainGrid(columns={"rough": 1.0}, levels=1, num_columns=3, seed=4).build()
+    row = TileRow([Tile(registry.find("rough"), 0.0)] * 3, seed=4).build()
+    np.testing.assert_array_equal(grid.heights, row.heights)
+    np.testing.assert_array_equal(grid.tile_origin, row.tile_origin)
+
+
+def test_a_row_without_tiles_is_refused() -> None:
+    with pytest.raises(UserError, match="no tiles"):
+        TileRow([]).build()

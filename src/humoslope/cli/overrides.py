@@ -1,7 +1,8 @@
 """Any field of a configuration as a command-line option.
 
-tyro needs a type whose fields it can list. Configurations hold named terms and free parameters as well as dataclasses, so a dataclass
-with the same structure is made from the values themselves, shown to tyro, and what came back is written into the configuration.
+tyro needs a type whose fields it can list. Configurations hold named terms and free parameters as well as dataclasses,
+so a dataclass with the same structure is made from the values themselves, shown to tyro, and what came back is written
+into the configuration.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ PLAIN = (bool, int, float, str)
 
 
 def mirror_type(name: str, value: Any) -> tuple[type, Any] | None:
-    """A dataclass type with the fields of `value` that can be written on a command line, and an instance with its values.
+    """A dataclass type with the fields of `value` that can be written on a command line,
+    and an instance with its values.
 
     None if there are none.
     """
@@ -92,5 +94,5 @@ def _annotation(value: Any) -> Any:
         if len(kinds) > 1:
             return None
         kind = kinds.pop()
-        return tuple[kind, ...] if kind is int else tuple[tuple([kind] * len(value))]  # type: ignore[valid-type]
+        return tuple[kind, ...] if kind is int else tuple[tuple([kind] * len(value))]  # type: ignore[valid-type, misc]
     return None

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import tyro
+
+from humoslope.registry import load_content
 from humoslope.terrain import draw
 
 
@@ -17,3 +20,9 @@ def terrain(name: str, /, out: Path | None = None, seed: int = 0) -> None:
     """
     path = draw.run(name, out if out is not None else Path(f"{name}.png"), seed=seed)
     print(f"wrote {path}")
+
+
+def run(arguments: list[str]) -> None:
+    """Draws the terrain named in `arguments`."""
+    load_content()
+    tyro.cli(terrain, args=arguments, prog="humoslope terrain")

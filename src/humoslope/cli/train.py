@@ -67,7 +67,9 @@ def parse(task: str, options: list[str]) -> tuple[TaskCfg, TrainArgs]:
     mirrored = mirror_type("Options", {**vars(TrainArgs()), "env": cfg.env, "agent": cfg.agent})
     assert mirrored is not None
     kind, default = mirrored
-    parsed: Any = tyro.cli(kind, args=options, default=default, prog=f"humoslope train {task}", description=(TrainArgs.__doc__ or ""))
+    parsed: Any = tyro.cli(
+        kind, args=options, default=default, prog=f"humoslope train {task}", description=(TrainArgs.__doc__ or "")
+    )
     write_back(cfg.env, parsed.env)
     write_back(cfg.agent, parsed.agent)
     return cfg, TrainArgs(**{f.name: getattr(parsed, f.name) for f in dataclasses.fields(TrainArgs)})
@@ -86,7 +88,9 @@ def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, optio
     start = resumed is not None and checkpoint.latest(resumed)
     run_dir = resumed or Path(args.run_dir or Path("logs") / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
     if resumed is None and run_dir.exists() and any(run_dir.glob("model_*.pt")):
-        raise UserError(f"run folder '{run_dir}' holds a run already; resume it with --resume {run_dir}, or choose another.")
+        raise UserError(
+            f"run folder '{run_dir}' holds a run already; resume it with --resume {run_dir}, or choose another."
+        )
     with tee(run_dir / "console.log" if rank == 0 else None) as console:
         _introduce(console, task, env, run_dir)
         runner = Runner(task, env, cfg.agent, run_dir if rank == 0 else None, console)
@@ -127,5 +131,3 @@ def _keep(options: list[str]) -> list[str]:
 def _saved_options(run_dir: Path) -> list[str]:
     file = run_dir / "options.txt"
     return shlex.split(file.read_text()) if file.is_file() else []
-
-

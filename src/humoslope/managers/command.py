@@ -25,7 +25,8 @@ class VelocityCommand:
         yaw_rate: Yaw rate of the worlds without a heading target, rad/s.
         heading_share: Share of worlds that steer to the direction of travel (+x of their tile) by `heading_gain`.
         heading_gain: Yaw rate per heading error, 1/s.
-        lateral_gain: Heading error added per metre off the tile's centre line, rad/m, so that the path stays on the tile.
+        lateral_gain: Heading error added per metre off the tile's centre line, rad/m, so that the path stays on the
+            tile.
         yaw_rate_limit: Largest yaw rate that steering asks for, rad/s.
         standing_share: Share of worlds that are asked to stand.
         resample_s: Shortest and longest time a command holds, s.

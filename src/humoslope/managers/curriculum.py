@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class CurriculumManager:
     """Calls each term with the worlds that are about to be reset.
 
-    A term is `func(env, mask, **params) -> Tensor`, the difficulty it logs. A class may define `state_dict` and `load_state_dict`; they
-    go into the checkpoint.
+    A term is `func(env, mask, **params) -> Tensor`, the difficulty it logs.
+    A class may define `state_dict` and `load_state_dict`; they go into the checkpoint.
     """
 
     def __init__(self, env: Env, cfg: Terms[Term]) -> None:
@@ -55,7 +55,7 @@ class CurriculumManager:
         """Restores what `state_dict` gave; terms that are new keep their start."""
         for name, value in state.items():
             if name in self._calls:
-                self._calls[name].load_state_dict(value)
+                self[name].load_state_dict(value)
 
     def table(self) -> Table:
         """What gets harder."""

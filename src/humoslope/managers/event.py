@@ -49,7 +49,9 @@ class EventManager:
             if term.mode == "interval":
                 low, high = term.interval_s or (0.0, 0.0)
                 if not 0.0 < low <= high:
-                    raise UserError(f"event '{name}': interval_s {term.interval_s} must be two positive times, shortest first.")
+                    raise UserError(
+                        f"event '{name}': interval_s {term.interval_s} must be two positive times, shortest first."
+                    )
                 self._intervals[name] = (low, high)
                 self._time_left[name] = self._draw(name)
 

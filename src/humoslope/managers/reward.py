@@ -39,7 +39,9 @@ class RewardManager:
         for name, call in zip(self.names, self._calls, strict=True):
             shape = tuple(call(env).shape)
             if shape != (env.num_envs,):
-                raise UserError(f"reward '{name}' returned shape {shape}; it must be ({env.num_envs},), one value per world.")
+                raise UserError(
+                    f"reward '{name}' returned shape {shape}; it must be ({env.num_envs},), one value per world."
+                )
 
     def compute(self, dt: float) -> Tensor:
         """The reward [N] of a step of `dt` seconds."""

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 @dataclass
 class TerminationTerm(Term):
-    """`func(env, **params) -> [N] bool`. A `time_out` is no failure: the value of what would have followed is bootstrapped."""
+    """`func(env, **params) -> [N] bool`. A `time_out` is no failure:
+    the value of what would have followed is bootstrapped."""
 
     time_out: bool = False
 
@@ -36,7 +37,8 @@ class TerminationManager:
         self._hits = [self.terminated.clone() for _ in self.names]
 
     def compute(self) -> Tensor:
-        """The worlds [N] (bool) whose episode ends now; `terminated` are the failures, `time_outs` the others among them."""
+        """The worlds [N] (bool) whose episode ends now;
+        `terminated` are the failures, `time_outs` the others among them."""
         self._hits = [call(self._env) for call in self._calls]
         none = torch.zeros_like(self.terminated)
         self.terminated = none.clone()

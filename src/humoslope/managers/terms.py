@@ -20,7 +20,8 @@ T = TypeVar("T")
 
 
 class Terms(Generic[T]):
-    """An ordered set of named terms with attribute access: `cfg.rewards.alive.weight = 0.2`; assigning None takes a term away."""
+    """An ordered set of named terms with attribute access:
+    `cfg.rewards.alive.weight = 0.2`; assigning None takes a term away."""
 
     def __init__(self, **terms: T) -> None:
         self.__dict__.update(terms)
@@ -86,7 +87,8 @@ def bind(kind: str, name: str, term: Term, env: Env, implicit: tuple[str, ...] =
     if not issubclass(term.func, StatefulTerm):
         raise UserError(f"{where}: class {term.func.__name__} must derive from StatefulTerm and define reset(mask).")
     _check_params(where, term.func, term.params, ("env",))
-    instance: Callable[..., Any] = term.func(env, **term.params)
+    make: Callable[..., Any] = term.func
+    instance: Callable[..., Any] = make(env, **term.params)
     return instance
 
 

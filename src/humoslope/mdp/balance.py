@@ -24,11 +24,12 @@ class ZmpRegulariser(StatefulTerm):
         epsilon: Force that smooths the anchor, N.
         smoothing: Weight of the past in the moving average of the CoM's acceleration; contacts make it noisy.
         acc_limit: Largest CoM acceleration believed, m/s^2.
-        least_pressure: Smallest apparent force on the plane for which a ZMP is defined, m/s^2; below it the reward is zero.
+        least_pressure: Smallest apparent force on the plane for which a ZMP is defined, m/s^2; below it the reward is
+            zero.
         largest_deviation: Deviations are cut here, m.
         flight_share: Below this share of body weight on the feet the last support normal holds.
-        plane: "support" takes the dominant foot's plane (the paper's regulariser); "horizontal" the world-horizontal plane through the
-            anchor, which the paper argues against.
+        plane: "support" takes the dominant foot's plane (the paper's regulariser); "horizontal" the world-horizontal
+            plane through the anchor, which the paper argues against.
     """
 
     def __init__(

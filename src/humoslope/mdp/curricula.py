@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 class TerrainLevels(StatefulTerm):
     """A world moves to a steeper tile after covering most of its own, and to an easier one after failing.
 
-    Up: `up` of the tile covered. Down: otherwise, a fall, or less than `down` of the distance that was commanded. From the hardest level a world
-    moves to a random one, so that the easy ones are not forgotten.
+    Up: `up` of the tile covered. Down: otherwise, a fall, or less than `down` of the distance that was commanded.
+    From the hardest level a world moves to a random one, so that the easy ones are not forgotten.
 
     Args:
         up: Share of the tile's length.

@@ -25,7 +25,10 @@ def _set(field: Tensor, mask: Tensor, value: Tensor) -> None:
 def _check(name: str, bounds: Range, least: float = -float("inf")) -> None:
     low, high = bounds
     if not least <= low <= high:
-        raise UserError(f"{name} ({low:g}, {high:g}) must be (lowest, highest)" + (f" and at least {least:g}." if least > -1e9 else "."))
+        raise UserError(
+            f"{name} ({low:g}, {high:g}) must be (lowest, highest)"
+            + (f" and at least {least:g}." if least > -1e9 else ".")
+        )
 
 
 def reset_on_tile(env: Env, mask: Tensor, along: Range, across: Range, yaw: Range, lift: float = 0.01) -> None:
@@ -72,7 +75,8 @@ def randomize_friction(env: Env, mask: Tensor, friction: Range, slope_margin: fl
 
     Args:
         friction: Range of the coefficient.
-        slope_margin: The coefficient is at least tan(grade) plus this; otherwise a slope could not be climbed by anyone.
+        slope_margin: The coefficient is at least tan(grade) plus this; otherwise a slope could not be climbed by
+            anyone.
     """
     _check("friction", friction, 0.0)
     field = env.sim.expand("geom_friction")  # [N, G, 3]
@@ -90,7 +94,9 @@ def randomize_mass(env: Env, mask: Tensor, body: str, added: Range) -> None:
         raise UserError(f"randomize_mass: body '{body}' does not exist in {env.robot.name}.")
     mass = model.body_mass[i] + env.uniform(*added)
     if model.body_mass[i] + added[0] <= 0.0:
-        raise UserError(f"randomize_mass: {body} weighs {model.body_mass[i]:.3g} kg; {added[0]:g} kg cannot be added to it.")
+        raise UserError(
+            f"randomize_mass: {body} weighs {model.body_mass[i]:.3g} kg; {added[0]:g} kg cannot be added to it."
+        )
     inertia = torch.as_tensor(model.body_inertia[i], dtype=torch.float32, device=env.device)
     _set(env.sim.expand("body_mass")[:, i], mask, mass)
     _set(env.sim.expand("body_inertia")[:, i], mask, inertia * (mass / model.body_mass[i])[:, None])

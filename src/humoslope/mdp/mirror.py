@@ -21,7 +21,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def mirrored_as(image: Callable[..., Image]) -> Callable[[F], F]:
-    """Declares how an observation function's output is mirrored: by `image(env, **params)`, with the term's parameters."""
+    """Declares how an observation function's output is mirrored:
+    by `image(env, **params)`, with the term's parameters."""
 
     def declare(func: F) -> F:
         func.mirror_image = image  # type: ignore[attr-defined]

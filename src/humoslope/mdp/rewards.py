@@ -1,7 +1,7 @@
 """Rewards for walking along sloped ground. Every function returns [N]; the manager multiplies by weight and time step.
 
-The list starts from Unitree RL Lab's, with everything that referred to the world's horizontal plane referred to the
-ground instead.
+The list starts from Unitree RL Lab's,
+with everything that referred to the world's horizontal plane referred to the ground instead.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 def track_slope_velocity_exp(env: Env, std: float) -> Tensor:
     """Reward for holding the commanded velocity along the ground, forward and left.
 
-    The velocity is taken in the tangent plane of the ground below the root, so that climbing is not punished as
-    vertical motion.
+    The velocity is taken in the tangent plane of the ground below the root,
+    so that climbing is not punished as vertical motion.
 
     Args:
         std: Speed error at which the reward has fallen to 1/e, m/s.
@@ -153,8 +153,8 @@ def body_contact(env: Env, force: float) -> Tensor:
 
 
 class SingleStance(StatefulTerm):
-    """Time both feet have been in their present mode, counted only on one leg: rewards stepping without prescribing a
-    clock.
+    """Time both feet have been in their present mode, counted only on one leg:
+    rewards stepping without prescribing a clock.
 
     The value is the shorter of the two times, in s, up to `cap`; zero for worlds that are asked to stand.
     """

@@ -22,5 +22,7 @@ def joint_mask(robot: Robot, pattern: str, device: torch.device) -> Tensor:
     hits = [re.fullmatch(pattern, name) is not None for name in robot.joint_names]
     if not any(hits):
         some = ", ".join(robot.joint_names[:4])
-        raise UserError(f"joint pattern '{pattern}' matches nothing; {robot.name} has {some}, ... ({robot.num_joints} in all).")
+        raise UserError(
+            f"joint pattern '{pattern}' matches nothing; {robot.name} has {some}, ... ({robot.num_joints} in all)."
+        )
     return torch.tensor(hits, dtype=torch.float32, device=device)

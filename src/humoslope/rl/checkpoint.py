@@ -65,7 +65,8 @@ def latest(run_dir: Path) -> Path:
 
 def rng_state() -> dict[str, Any]:
     """The states of Python's, NumPy's and torch's random generators, in types that load without executing anything."""
-    _, keys, position, has_gauss, cached = np.random.get_state(legacy=True)
+    numpy_state: Any = np.random.get_state(legacy=True)  # noqa: NPY002 - libraries draw from the global generator
+    _, keys, position, has_gauss, cached = numpy_state
     version, internal, gauss = random.getstate()
     return {
         "python": [version, list(internal), gauss],
@@ -80,7 +81,8 @@ def restore_rng(state: dict[str, Any]) -> None:
     version, internal, gauss = state["python"]
     random.setstate((version, tuple(internal), gauss))
     keys, position, has_gauss, cached = state["numpy"]
-    np.random.set_state(("MT19937", keys.cpu().numpy().astype(np.uint32), position, has_gauss, cached))
+    numpy_state = ("MT19937", keys.cpu().numpy().astype(np.uint32), position, has_gauss, cached)
+    np.random.set_state(numpy_state)  # noqa: NPY002
     torch.set_rng_state(state["torch"].cpu())
     if torch.cuda.is_available() and len(state["cuda"]) == torch.cuda.device_count():
         torch.cuda.set_rng_state_all([s.cpu() for s in state["cuda"]])

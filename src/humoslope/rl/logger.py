@@ -19,28 +19,33 @@ SHOWN = {
     "reward": "Train/reward",
     "length": "Train/episode_length",
     "falls/s": "Train/falls_per_second",
+    "m/s": "Train/speed",
     "harness": "Curriculum/harness",
     "level": "Curriculum/terrain_levels",
 }
 """What the progress line shows, besides speed."""
 
 
-class TrainingLogger(Logger):  # type: ignore[misc]
+class TrainingLogger(Logger):
     """rsl_rl's logger, fed by the environment's own averages: nothing waits for the device between iterations.
 
     `after_log` is called at the end of each iteration with the values logged.
     """
 
-    def __init__(self, env: ManagerBasedRlEnv, console: Console, after_log: Callable[[dict[str, float]], None], **kwargs: Any) -> None:
+    def __init__(
+        self, env: ManagerBasedRlEnv, console: Console, after_log: Callable[[dict[str, float]], None], **kwargs: Any
+    ) -> None:
         super().__init__(**kwargs)
         self._env, self._console, self._after_log = env, console, after_log
         self._started = time.monotonic()
 
-    def process_env_step(self, rewards: Tensor, dones: Tensor, extras: dict[str, Any], intrinsic_rewards: Tensor | None = None) -> None:
+    def process_env_step(
+        self, rewards: Tensor, dones: Tensor, extras: dict[str, Any], intrinsic_rewards: Tensor | None = None
+    ) -> None:
         """Gathers the reward; everything else the environment gathers itself."""
         self._env.log.add("Train/reward", rewards / self._env.step_dt)
 
-    def log(  # type: ignore[override]
+    def log(
         self,
         it: int,
         start_it: int,

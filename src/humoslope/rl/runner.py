@@ -28,7 +28,7 @@ class StopTraining(Exception):
     """Raised between iterations after SIGINT or SIGTERM."""
 
 
-class Runner(OnPolicyRunner):  # type: ignore[misc]
+class Runner(OnPolicyRunner):
     """Trains a task in a run folder.
 
     Args:
@@ -36,7 +36,9 @@ class Runner(OnPolicyRunner):  # type: ignore[misc]
         run_dir: Where curves and checkpoints go; None writes nothing.
     """
 
-    def __init__(self, task: str, env: ManagerBasedRlEnv, agent: AgentCfg, run_dir: Path | None, console: Console) -> None:
+    def __init__(
+        self, task: str, env: ManagerBasedRlEnv, agent: AgentCfg, run_dir: Path | None, console: Console
+    ) -> None:
         self.task, self.agent, self.run_dir, self._console = task, agent, run_dir, console
         self._manager_env = env
         self._stop = False
@@ -71,15 +73,17 @@ class Runner(OnPolicyRunner):  # type: ignore[misc]
         if left <= 0:
             self._console.print(f"Nothing left to do: {self.current_learning_iteration} iterations are done.")
             return True
-        # Worlds that all start at once would also end at once, and the learner would see one phase of the episode at a time.
-        first = self.current_learning_iteration == 0
+        # Worlds that all start at once would also end at once,
+        # and the learner would see one phase of the episode at a time.
         handlers = self._catch_signals()
         try:
-            self.learn(left, init_at_random_ep_len=first)
+            self.learn(left, init_at_random_ep_len=True)
         except StopTraining:
             self.save(str(self._model_path()))
             self.logger.stop_logging_writer()
-            self._console.print(f"Stopped after iteration {self.current_learning_iteration + 1}; saved {self._model_path()}.")
+            self._console.print(
+                f"Stopped after iteration {self.current_learning_iteration + 1}; saved {self._model_path()}."
+            )
             return False
         finally:
             for number, handler in handlers.items():

@@ -17,13 +17,17 @@ class Mirror:
     """Mirrors observations and actions of an environment; doing it twice changes nothing."""
 
     def __init__(self, env: ManagerBasedRlEnv) -> None:
-        self.groups = {name: _to(group_image(env, name, group), env.device) for name, group in env.cfg.observations.items()}
+        self.groups = {
+            name: _to(group_image(env, name, group), env.device) for name, group in env.cfg.observations.items()
+        }
         self.actions = _to(joint_image(env.robot), env.device)
 
     def observation(self, obs: TensorDict) -> TensorDict:
         """The observations [B, d] in the mirror."""
         return TensorDict(
-            {name: apply(self.groups[name], value) for name, value in obs.items()}, batch_size=obs.batch_size, device=obs.device
+            {name: apply(image, obs[name]) for name, image in self.groups.items()},
+            batch_size=obs.batch_size,
+            device=obs.device,
         )
 
     def action(self, action: Tensor) -> Tensor:
@@ -34,16 +38,17 @@ class Mirror:
         self, env: object = None, obs: TensorDict | None = None, actions: Tensor | None = None
     ) -> tuple[TensorDict | None, Tensor | None]:
         """rsl_rl's augmentation: the originals first, then their mirror images."""
-        both = None if obs is None else torch.cat([obs, self.observation(obs)])
+        both = None if obs is None else TensorDict.cat([obs, self.observation(obs)])
         return both, None if actions is None else torch.cat([actions, self.action(actions)])
 
 
-class MirrorAugmentation(Symmetry):  # type: ignore[misc]
-    """rsl_rl's augmentation without a second pass through the actor, whose answer to the doubled batch is already known."""
+class MirrorAugmentation(Symmetry):
+    """rsl_rl's augmentation without a second pass through the actor,
+    whose answer to the doubled batch is already known."""
 
     def compute_loss(self, actor: torch.nn.Module, batch: object, original_batch_size: int) -> Tensor:
         """How far the policy is from symmetric: mean squared difference of the mirrored means, for the log only."""
-        means = actor.output_mean.detach()  # type: ignore[operator, union-attr]
+        means = actor.output_mean.detach()  # type: ignore[operator]
         _, mirrored = self.data_augmentation_func(env=self.env, obs=None, actions=means[:original_batch_size])
         return torch.nn.functional.mse_loss(means[original_batch_size:], mirrored[original_batch_size:])
 
@@ -65,7 +70,8 @@ def group_image(env: ManagerBasedRlEnv, name: str, group: ObservationGroup) -> I
         image = getattr(term.func, "mirror_image", None)
         if image is None:
             raise UserError(
-                f"observation '{name}.{term_name}' does not say how it is mirrored; decorate it with @mirrored_as or set agent.symmetry to False."
+                f"observation '{name}.{term_name}' does not say how it is mirrored; "
+                "decorate it with @mirrored_as or set agent.symmetry to False."
             )
         index, sign = image(env, **term.params)
         for _ in range(group.history):

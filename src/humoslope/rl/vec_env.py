@@ -12,7 +12,7 @@ from torch import Tensor
 from humoslope.env import ManagerBasedRlEnv
 
 
-class RslRlVecEnv(VecEnv):  # type: ignore[misc]
+class RslRlVecEnv(VecEnv):
     """Adapts `ManagerBasedRlEnv` to rsl_rl's `VecEnv`."""
 
     def __init__(self, env: ManagerBasedRlEnv) -> None:

@@ -14,8 +14,8 @@ class Robot:
 
     Attributes:
         name: Shown in tables and messages.
-        make_spec: Builds a fresh `MjSpec`: a free joint on `root_body`, one position actuator per joint (same names and order as
-            `joint_names`), a site at each sole, and no ground.
+        make_spec: Builds a fresh `MjSpec`: a free joint on `root_body`, one position actuator per joint (same names and
+            order as `joint_names`), a site at each sole, and no ground.
         root_body: The body that carries the free joint.
         torso_body: The body that carries the upper body; the harness acts on it.
         imu_site: Where angular velocity and gravity are measured.

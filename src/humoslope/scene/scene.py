@@ -14,7 +14,9 @@ from humoslope.terrain.mjcf import add_terrain
 CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
 
 
-def build_model(robot: Robot, terrain: Terrain, timestep: float, cone: Literal["elliptic", "pyramidal"]) -> mujoco.MjModel:
+def build_model(
+    robot: Robot, terrain: Terrain, timestep: float, cone: Literal["elliptic", "pyramidal"]
+) -> mujoco.MjModel:
     """Compiles the robot on the terrain, with contact sensors between them.
 
     Args:

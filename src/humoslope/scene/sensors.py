@@ -41,7 +41,8 @@ def add_robot_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Adds the net ground force on each foot and on the whole robot, world frame. The terrain geom must be in the spec."""
+    """Adds the net ground force on each foot and on the whole robot, world frame.
+    The terrain geom must be in the spec."""
     bodies = dict(zip((f"foot_force_w/{side}" for side in SIDES), robot.foot_bodies, strict=True))
     for name, body in bodies.items():
         _add_ground_force(spec, name, mjtObj.mjOBJ_BODY, body)
@@ -49,8 +50,8 @@ def add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _add_ground_force(spec: mujoco.MjSpec, name: str, objtype: mjtObj, body: str) -> None:
-    # intprm: data bits, reduction (3 = net force, world frame), slots. MuJoCo gives the force of the first object on the second, so the
-    # ground comes first. As a reference, an XBODY stands for the body's whole subtree.
+    # intprm: data bits, reduction (3 = net force, world frame), slots. MuJoCo gives the force of the first object
+    # on the second, so the ground comes first. As a reference, an XBODY stands for the body's whole subtree.
     force_bit = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     spec.add_sensor(
         name=name,

@@ -16,11 +16,11 @@ CONTACT_FORCE = 1.0
 
 
 class Signals:
-    """What terms read of the world. `refresh` takes everything anew; the tensors of the last refresh are never written
-    again.
+    """What terms read of the world. `refresh` takes everything anew;
+    the tensors of the last refresh are never written again.
 
-    Frames: `_w` world, `_b` root body, `_t` along the ground: forward in the heading direction, left, and out of the
-    slope.
+    Frames: `_w` world, `_b` root body, `_t` along the ground:
+    forward in the heading direction, left, and out of the slope.
 
     Attributes:
         joint_pos, joint_vel, joint_acc, joint_torque: [N, J] rad, rad/s, rad/s^2, Nm.
@@ -101,8 +101,8 @@ class Signals:
         self.slope_normal_w = self._terrain.slope_normal(self.root_pos_w[:, :2])
         n = self.slope_normal_w
         cos, sin = self.heading_w.cos(), self.heading_w.sin()
-        # The forward direction is the one in the tangent plane that lies over the heading: its rise follows from n . t
-        # = 0.
+        # The forward direction is the one in the tangent plane that lies over the heading:
+        # its rise follows from n . t = 0.
         rise = -(n[:, 0] * cos + n[:, 1] * sin) / n[:, 2]
         self.slope_pitch = torch.atan(rise)
         self._forward_w = torch.nn.functional.normalize(torch.stack([cos, sin, rise], dim=1), dim=1)
@@ -110,8 +110,8 @@ class Signals:
         self.root_lin_vel_t = self.along_ground(self.root_lin_vel_w)
 
     def along_ground(self, v: Tensor) -> Tensor:
-        """Vectors `v` [N, 3] of the world frame, in the slope frame of the robot's heading: forward, left, out of the
-        ground."""
+        """Vectors `v` [N, 3] of the world frame, in the slope frame of the robot's heading:
+        forward, left, out of the ground."""
         forward, left, n = self._forward_w, self._left_w, self.slope_normal_w
         return torch.stack([(v * forward).sum(dim=1), (v * left).sum(dim=1), (v * n).sum(dim=1)], dim=1)
 
@@ -121,6 +121,6 @@ class Signals:
 
 
 def _finite(x: Tensor) -> Tensor:
-    """A fresh copy without NaN or infinity: a diverged world must not spread into sums over worlds before it is
-    reset."""
+    """A fresh copy without NaN or infinity:
+    a diverged world must not spread into sums over worlds before it is reset."""
     return torch.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0)

@@ -12,8 +12,9 @@ from torch import Tensor
 class Simulation(Protocol):
     """Many worlds of one compiled MuJoCo model, stepped together.
 
-    Readings are float32 tensors that the backend refreshes in place, of the instant of the last force computation: after `step` that is
-    one physics step before the state, as with `mj_step`; after `reset` it is the state that was set. Keep a copy of what must outlive a step.
+    Readings are float32 tensors that the backend refreshes in place, of the instant of the last force computation:
+    after `step` that is one physics step before the state, as with `mj_step`; after `reset` it is the state that was
+    set. Keep a copy of what must outlive a step.
 
     Attributes:
         model: The compiled model all worlds started from.
@@ -28,7 +29,8 @@ class Simulation(Protocol):
     backend: str
 
     def read(self, field: str) -> Tensor:
-        """A live view [N, ...] of a derived `MjData` field, such as "sensordata" or "actuator_force". Call once and keep it.
+        """A live view [N, ...] of a derived `MjData` field, such as "sensordata" or "actuator_force".
+        Call once and keep it.
 
         Raises:
             UserError: If the field does not exist.
@@ -36,21 +38,24 @@ class Simulation(Protocol):
         ...
 
     def state(self, field: str) -> Tensor:
-        """A live view [N, ...] of a state field ("qpos", "qvel", "ctrl", "xfrc_applied", "time"), to read and to write in place.
+        """A live view [N, ...] of a state field ("qpos", "qvel", "ctrl", "xfrc_applied", "time"),
+        to read and to write in place.
 
         Its dtype is the backend's own (float64 native, float32 warp). What is written holds from the next step.
         """
         ...
 
     def expand(self, field: str) -> Tensor:
-        """Gives a model field ("geom_friction", "body_mass", ...) one value per world: a live view [N, ...], to write in place.
+        """Gives a model field ("geom_friction", "body_mass", ...) one value per world:
+        a live view [N, ...], to write in place.
 
         Values derived from a field that was written follow only after `recompute_constants`.
         """
         ...
 
     def recompute_constants(self) -> None:
-        """Derives the model constants that follow from masses, inertias and positions again, in every world (`mj_setConst`)."""
+        """Derives the model constants that follow from masses, inertias and positions again, in every world
+        (`mj_setConst`)."""
         ...
 
     def step(self, n: int) -> None:
@@ -60,7 +65,8 @@ class Simulation(Protocol):
     def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """Starts the worlds in `mask` [N] anew from `qpos` [N, nq] and `qvel` [N, nv]; their readings are refreshed.
 
-        Controls, wrenches, warm start and time of those worlds become zero. The other worlds and their readings stay as they are.
+        Controls, wrenches, warm start and time of those worlds become zero.
+        The other worlds and their readings stay as they are.
         """
         ...
 
@@ -69,5 +75,6 @@ class Simulation(Protocol):
         ...
 
     def warnings(self) -> list[str]:
-        """What the user should know of the physics since the last call (full buffers, with the field to raise). May synchronise."""
+        """What the user should know of the physics since the last call (full buffers, with the field to raise).
+        May synchronise."""
         ...

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,57 +80,14 @@ class TerrainGrid:
         """Draws every tile; raises `UserError` where a value or a registered function is impossible."""
         self._check()
         kinds = [registry.find(name) for name in self._column_names()]
-        x, y = tile_points(self.tile_length, self.tile_width, self.cell)
-        # A tile's vertices are its own: the step from its last to the next tile's first is the seam.
-        pitch_x, pitch_y = x.shape
-        rim = math.ceil(self.border / self.cell - 1e-9)
-        shape = (2 * rim + self.levels * pitch_x, 2 * rim + self.num_columns * pitch_y)
-        origin = (-0.5 * (shape[0] - 1) * self.cell, -0.5 * (shape[1] - 1) * self.cell)
-
-        heights = np.zeros(shape, dtype=np.float32)
-        tile_origin = np.zeros((self.levels, self.num_columns, 3))
-        grade = np.zeros((self.levels, self.num_columns))
-        for level in range(self.levels):
-            for column, kind in enumerate(kinds):
-                grade[level, column] = kind.grade_at(level / max(self.levels - 1, 1))
-                rng = np.random.default_rng((self.seed, column, level))
-                tile = kind.heights(x, y, float(grade[level, column]), rng)
-                i, j = rim + level * pitch_x, rim + column * pitch_y
-                heights[i : i + pitch_x, j : j + pitch_y] = tile
-                tile_origin[level, column, 0] = origin[0] + i * self.cell
-                tile_origin[level, column, 1] = origin[1] + (j + 0.5 * (pitch_y - 1)) * self.cell
-                # The centre line runs between two vertices where the tile is an odd number of cells wide.
-                tile_origin[level, column, 2] = 0.5 * (tile[0, (pitch_y - 1) // 2] + tile[0, pitch_y // 2])
-        return Terrain(
-            heights=heights,
-            cell=self.cell,
-            origin=origin,
-            tile_origin=tile_origin,
-            kind=tuple(kind.name for kind in kinds),
-            grade=grade,
-            tile_length=self.tile_length,
-            tile_width=self.tile_width,
-        )
+        difficulties = [level / max(self.levels - 1, 1) for level in range(self.levels)]
+        return _lay_out(self, [[Tile(kind, kind.grade_at(d)) for kind in kinds] for d in difficulties])
 
     def _check(self) -> None:
         for field in ("levels", "num_columns"):
             if getattr(self, field) < 1:
                 raise UserError(f"terrain grid: {field} is {getattr(self, field)}; it must be at least 1.")
-        for field in ("tile_length", "tile_width", "cell"):
-            if not 0.0 < getattr(self, field) < math.inf:
-                raise UserError(f"terrain grid: {field} is {getattr(self, field)} m; it must be positive.")
-            if getattr(self, field) < self.cell:
-                raise UserError(f"terrain grid: cell is {self.cell} m, larger than {field}, {getattr(self, field)} m.")
-        for field in ("tile_length", "tile_width"):
-            extent = getattr(self, field)
-            if abs(extent / self.cell - round(extent / self.cell)) > 1e-6:
-                raise UserError(f"terrain grid: {field}, {extent} m, must be a whole number of cells of {self.cell} m.")
-        if self.tile_length <= SPAWN_X:
-            raise UserError(f"terrain grid: tile_length is {self.tile_length} m; robots start at {SPAWN_X} m.")
-        if not 0.0 <= self.border < math.inf:
-            raise UserError(f"terrain grid: border is {self.border} m; it must be 0 or more.")
-        if self.seed < 0:
-            raise UserError(f"terrain grid: seed is {self.seed}; it must be 0 or more.")
+        _check_extents(self)
 
     def _column_names(self) -> list[str]:
         for name, share in self.columns.items():
@@ -147,6 +105,91 @@ class TerrainGrid:
             short = max(shares, key=lambda name: shares[name] / total * self.num_columns - count[name])
             count[short] += 1
         return [name for name in shares for _ in range(count[name])]
+
+
+class Tile(NamedTuple):
+    """A terrain at a grade in degrees."""
+
+    kind: registry.Kind
+    grade: float
+
+
+@dataclass(frozen=True)
+class TileRow:
+    """Tiles side by side, each asked for by itself: what a measurement walks on. Its terrains need not be registered.
+
+    Attributes:
+        tiles: One for each column of the only level.
+        tile_length, tile_width, cell, border, seed: As in `TerrainGrid`.
+    """
+
+    tiles: Sequence[Tile]
+    tile_length: float = 10.0
+    tile_width: float = 5.0
+    cell: float = 0.1
+    border: float = 3.0
+    seed: int = 0
+
+    def build(self) -> Terrain:
+        """Draws every tile; raises `UserError` where a value or a terrain's function is impossible."""
+        if not self.tiles:
+            raise UserError("terrain: a row has no tiles; give it at least one.")
+        _check_extents(self)
+        return _lay_out(self, [self.tiles])
+
+
+def _check_extents(layout: TerrainGrid | TileRow) -> None:
+    for field in ("tile_length", "tile_width", "cell"):
+        if not 0.0 < getattr(layout, field) < math.inf:
+            raise UserError(f"terrain: {field} is {getattr(layout, field)} m; it must be positive.")
+        if getattr(layout, field) < layout.cell:
+            raise UserError(f"terrain: cell is {layout.cell} m, larger than {field}, {getattr(layout, field)} m.")
+    for field in ("tile_length", "tile_width"):
+        extent = getattr(layout, field)
+        if abs(extent / layout.cell - round(extent / layout.cell)) > 1e-6:
+            raise UserError(f"terrain: {field}, {extent} m, must be a whole number of cells of {layout.cell} m.")
+    if layout.tile_length <= SPAWN_X:
+        raise UserError(f"terrain: tile_length is {layout.tile_length} m; robots start at {SPAWN_X} m.")
+    if not 0.0 <= layout.border < math.inf:
+        raise UserError(f"terrain: border is {layout.border} m; it must be 0 or more.")
+    if layout.seed < 0:
+        raise UserError(f"terrain: seed is {layout.seed}; it must be 0 or more.")
+
+
+def _lay_out(layout: TerrainGrid | TileRow, tiles: Sequence[Sequence[Tile]]) -> Terrain:
+    """Draws `tiles` [levels][columns] into one height field."""
+    cell, levels, columns = layout.cell, len(tiles), len(tiles[0])
+    x, y = tile_points(layout.tile_length, layout.tile_width, cell)
+    # A tile's vertices are its own: the step from its last to the next tile's first is the seam.
+    pitch_x, pitch_y = x.shape
+    rim = math.ceil(layout.border / cell - 1e-9)
+    shape = (2 * rim + levels * pitch_x, 2 * rim + columns * pitch_y)
+    origin = (-0.5 * (shape[0] - 1) * cell, -0.5 * (shape[1] - 1) * cell)
+
+    heights = np.zeros(shape, dtype=np.float32)
+    tile_origin = np.zeros((levels, columns, 3))
+    grade = np.zeros((levels, columns))
+    for level, row in enumerate(tiles):
+        for column, tile in enumerate(row):
+            rng = np.random.default_rng((layout.seed, column, level))
+            drawn = tile.kind.heights(x, y, tile.grade, rng)
+            i, j = rim + level * pitch_x, rim + column * pitch_y
+            heights[i : i + pitch_x, j : j + pitch_y] = drawn
+            tile_origin[level, column, 0] = origin[0] + i * cell
+            tile_origin[level, column, 1] = origin[1] + (j + 0.5 * (pitch_y - 1)) * cell
+            # The centre line runs between two vertices where the tile is an odd number of cells wide.
+            tile_origin[level, column, 2] = 0.5 * (drawn[0, (pitch_y - 1) // 2] + drawn[0, pitch_y // 2])
+            grade[level, column] = tile.grade
+    return Terrain(
+        heights=heights,
+        cell=cell,
+        origin=origin,
+        tile_origin=tile_origin,
+        kind=tuple(tile.kind.name for tile in tiles[0]),
+        grade=grade,
+        tile_length=layout.tile_length,
+        tile_width=layout.tile_width,
+    )
 
 
 def tile_points(length: float, width: float, cell: float) -> tuple[registry.Array, registry.Array]:

@@ -1,0 +1,27 @@
+"""`humoslope curve RUN`: how a training run went, as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import tyro
+
+from humoslope.evaluation.curve import draw, read_curves
+
+
+def run(arguments: list[str]) -> None:
+    """Draws the run named in `arguments`."""
+    tyro.cli(curve, args=arguments, prog="humoslope curve")
+
+
+def curve(run_dir: tyro.conf.Positional[Path], out: Path | None = None) -> None:
+    """Draws the learning curve of a run: reward, episode length, falls, harness, terrain level and speed tracking.
+
+    Args:
+        run_dir: Folder of the run; it may have been resumed any number of times.
+        out: Where the picture is written; by default curve.png in the run folder.
+    """
+    path = out or run_dir / "curve.png"
+    path = path if path.suffix else path.with_suffix(".png")
+    draw(read_curves(run_dir), f"{run_dir.resolve().name}", path)
+    print(f"wrote {path}")

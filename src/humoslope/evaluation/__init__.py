@@ -1,0 +1,1 @@
+"""Measuring trained policies: protocols, metrics, statistics, tables and plots."""

@@ -1,0 +1,137 @@
+"""What the policy is asked to do."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from humoslope.errors import UserError
+from humoslope.managers import CommandManager, VelocityCommand
+
+N = 1000
+EVERYWHERE = torch.ones(N, dtype=torch.bool)
+STEERED = VelocityCommand(heading_share=1.0, standing_share=0.0, heading_gain=0.5, lateral_gain=0.3, yaw_rate_limit=10.0)
+
+
+@pytest.fixture
+def make_commands(make_env):
+    def make(cfg: VelocityCommand, num_envs: int = N, heading: float = 0.0, y: float = 0.0) -> CommandManager:
+        signals = SimpleNamespace(
+            root_pos_w=torch.tensor([[0.0, y, 0.0]]).repeat(num_envs, 1), heading_w=torch.full((num_envs,), heading)
+        )
+        tiles = SimpleNamespace(origin_w=torch.zeros(num_envs, 3))
+        commands = CommandManager(make_env(num_envs, signals=signals, tiles=tiles), cfg)
+        commands.reset(torch.ones(num_envs, dtype=torch.bool))
+        return commands
+
+    return make
+
+
+def test_commands_fill_their_ranges_and_stay_within(make_commands):
+    cfg = VelocityCommand(
+        speed=(0.3, 0.8), lateral=(-0.2, 0.1), yaw_rate=(-0.4, 0.3), heading_share=0.0, standing_share=0.0
+    )
+    velocity = make_commands(cfg).velocity
+    for column, (low, high) in enumerate((cfg.speed, cfg.lateral, cfg.yaw_rate)):
+        drawn = velocity[:, column]
+        assert low <= drawn.min() < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < drawn.max() <= high
+
+
+def test_the_asked_share_of_worlds_stands_and_is_asked_for_nothing(make_commands):
+    commands = make_commands(VelocityCommand(standing_share=0.3))
+    standing = ~commands.moving
+    assert 0.25 < standing.float().mean() < 0.35
+    assert commands.velocity[standing].count_nonzero() == 0
+    assert (commands.velocity[commands.moving, 0] > 0.0).all()
+
+
+def test_the_asked_share_of_worlds_steers(make_commands):
+    cfg = VelocityCommand(heading_share=0.6, standing_share=0.0, yaw_rate=(0.1, 0.3))
+    steers = make_commands(cfg).velocity[:, 2] == 0.0  # they already face along their tile
+    assert 0.55 < steers.float().mean() < 0.65
+
+
+@given(heading=st.floats(-3.1, 3.1))
+def test_a_world_turns_back_to_the_direction_of_travel_by_the_shorter_way(heading):
+    yaw_rate = steering(STEERED, heading=heading, y=0.0)
+    assert yaw_rate == pytest.approx(-0.5 * heading, abs=1e-5)
+
+
+@given(y=st.floats(-2.0, 2.0))
+def test_a_world_off_its_centre_line_turns_towards_it(y):
+    yaw_rate = steering(STEERED, heading=0.0, y=y)
+    assert yaw_rate == pytest.approx(-0.5 * 0.3 * y, abs=1e-5)
+
+
+@given(heading=st.floats(-3.1, 3.1), y=st.floats(-5.0, 5.0))
+def test_steering_stays_within_its_limit(heading, y):
+    cfg = VelocityCommand(heading_share=1.0, standing_share=0.0, yaw_rate_limit=0.3)
+    assert abs(steering(cfg, heading, y)) <= 0.3 + 1e-6
+
+
+def test_a_steered_path_comes_back_to_the_centre_line_and_stays(make_commands):
+    commands = make_commands(VelocityCommand(heading_share=1.0, standing_share=0.0, speed=(0.5, 0.5)), num_envs=1)
+    signals = commands._env.signals
+    signals.root_pos_w, signals.heading_w = torch.tensor([[0.0, 1.0, 0.0]]), torch.tensor([2.0])
+    for _ in range(3000):  # a minute of a unicycle that does as it is told
+        commands.step(0.02)
+        forward, _, turn = commands.velocity[0]
+        signals.heading_w = signals.heading_w + 0.02 * turn
+        heading = signals.heading_w[0]
+        signals.root_pos_w = signals.root_pos_w + 0.02 * forward * torch.stack(
+            [heading.cos(), heading.sin(), torch.zeros(())]
+        )
+    assert abs(signals.root_pos_w[0, 1]) < 0.05
+    assert abs(math.remainder(signals.heading_w[0].item(), 2 * math.pi)) < 0.05
+
+
+def test_commands_hold_until_their_time_is_over(make_commands):
+    cfg = VelocityCommand(heading_share=0.0, standing_share=0.0, resample_s=(1.0, 2.0))
+    commands = make_commands(cfg, num_envs=20)
+    first = commands.velocity.clone()
+    for _ in range(9):
+        commands.step(0.1)
+    assert commands.velocity.equal(first)
+    for _ in range(12):
+        commands.step(0.1)
+    assert (commands.velocity[:, 0] != first[:, 0]).all()
+
+
+def test_only_worlds_in_the_mask_get_a_new_command(make_commands):
+    commands = make_commands(VelocityCommand(heading_share=0.0, standing_share=0.1))
+    before, moving = commands.velocity, commands.moving
+    mask = torch.arange(N) < N // 2
+    commands.reset(mask)
+    assert commands.velocity[~mask].equal(before[~mask])
+    assert commands.moving[~mask].equal(moving[~mask])
+    assert (commands.velocity[mask, 0] != before[mask, 0]).float().mean() > 0.9
+
+
+def test_steering_follows_the_heading_between_two_draws(make_commands):
+    commands = make_commands(STEERED)
+    commands._env.signals.heading_w = torch.full((N,), 0.4)
+    commands.step(0.02)
+    torch.testing.assert_close(commands.velocity[:, 2], torch.full((N,), -0.2))
+
+
+@pytest.mark.parametrize("name", ["speed", "lateral", "yaw_rate", "resample_s"])
+def test_a_range_the_wrong_way_round_is_named(make_commands, name):
+    with pytest.raises(UserError, match=rf"command: {name} \(2, 1\) must be \(lowest, highest\)"):
+        make_commands(VelocityCommand(**{name: (2.0, 1.0)}))
+
+
+def steering(cfg: VelocityCommand, heading: float, y: float) -> float:
+    """The yaw rate asked of a world at that heading (rad) and that far left of its centre line (m)."""
+    from tests.managers.conftest import FakeEnv  # a fixture would be shared by all examples
+
+    signals = SimpleNamespace(root_pos_w=torch.tensor([[3.0, y, 0.0]]), heading_w=torch.tensor([heading]))
+    env = FakeEnv(num_envs=1, signals=signals, tiles=SimpleNamespace(origin_w=torch.zeros(1, 3)))
+    commands = CommandManager(env, cfg)
+    commands.reset(torch.ones(1, dtype=torch.bool))
+    return commands.velocity[0, 2].item()

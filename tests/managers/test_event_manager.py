@@ -1,0 +1,92 @@
+"""When events strike, and which worlds."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from humoslope.errors import UserError
+from humoslope.managers import EventManager, EventTerm, StatefulTerm, Terms
+
+N = 50
+
+
+def strike(env, mask, name):
+    env.struck.append((name, mask.clone()))
+
+
+@pytest.fixture
+def env(make_env):
+    return make_env(N, struck=[])
+
+
+def event(name, **options):
+    return EventTerm(strike, {"name": name}, **options)
+
+
+def test_each_event_strikes_in_its_own_mode(env, mask):
+    events = EventManager(
+        env, Terms(once=event("once", mode="startup"), anew=event("anew", mode="reset"), ever=event("ever", mode="step"))
+    )
+    assert env.struck == []
+    events.startup()
+    events.reset(mask(N, 3))
+    events.step(0.02)
+    assert [name for name, _ in env.struck] == ["once", "anew", "ever"]
+    assert [int(struck.sum()) for _, struck in env.struck] == [N, 1, N]
+    assert env.struck[1][1][3]
+
+
+def test_interval_events_strike_each_world_within_their_interval_and_again_and_again(env):
+    events = EventManager(env, Terms(push=event("push", mode="interval", interval_s=(0.5, 1.0))))
+    for _ in range(500):
+        events.step(0.01)
+    struck = torch.stack([struck for _, struck in env.struck])  # [steps, N]
+    assert len(struck) == 500
+    for world in range(N):
+        times = 0.01 * (struck[:, world].nonzero().flatten() + 1)
+        gaps = torch.diff(times, prepend=torch.zeros(1))
+        assert 0.5 - 0.011 <= gaps.min()
+        assert gaps.max() <= 1.0 + 0.011
+        assert len(gaps) >= 4
+    first = struck.to(torch.int8).argmax(dim=0)
+    assert first.unique().numel() > 10  # not all worlds at once
+
+
+def test_stateful_events_are_reset_with_the_worlds_and_can_be_had_by_name(env, mask):
+    class Wind(StatefulTerm):
+        def __init__(self, env, force):
+            self.force, self.forgotten = force, []
+
+        def __call__(self, env, mask):
+            pass
+
+        def reset(self, mask):
+            self.forgotten.append(mask)
+
+    events = EventManager(env, Terms(wind=EventTerm(Wind, {"force": 3.0}, mode="step")))
+    events.reset(mask(N, 1))
+    assert events["wind"].force == 3.0
+    assert events["wind"].forgotten[0].equal(mask(N, 1))
+
+
+def test_an_event_that_does_not_exist_is_named_with_the_nearest_one(env):
+    events = EventManager(env, Terms(harness=event("harness", mode="step")))
+    with pytest.raises(UserError, match="event 'harnes' does not exist; did you mean 'harness'"):
+        events["harnes"]
+
+
+def test_a_mode_that_does_not_exist_is_refused(env):
+    with pytest.raises(UserError, match="event 'push': mode 'sometimes' does not exist; there are startup, reset"):
+        EventManager(env, Terms(push=event("push", mode="sometimes")))
+
+
+@pytest.mark.parametrize("interval", [None, (0.0, 1.0), (2.0, 1.0), (-1.0, 1.0)])
+def test_an_interval_that_is_none_is_refused(env, interval):
+    with pytest.raises(UserError, match="event 'push': interval_s .* must be two positive times, shortest first"):
+        EventManager(env, Terms(push=event("push", mode="interval", interval_s=interval)))
+
+
+def test_an_event_takes_no_mask_as_a_parameter(env):
+    with pytest.raises(UserError, match="event 'push': parameter 'mask' does not exist"):
+        EventManager(env, Terms(push=EventTerm(strike, {"name": "push", "mask": None})))

@@ -1,0 +1,98 @@
+"""The weighted sum of rewards, and the means of finished episodes."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from humoslope.errors import UserError
+from humoslope.managers import RewardManager, RewardTerm, StatefulTerm, Terms
+
+N = 4
+
+
+def speed(env):
+    return env.speed
+
+
+def one(env):
+    return torch.ones(env.num_envs)
+
+
+@pytest.fixture
+def env(make_env):
+    return make_env(N, speed=torch.tensor([0.0, 1.0, 2.0, 3.0]))
+
+
+def test_the_reward_is_the_sum_of_weight_times_value_times_seconds(env):
+    rewards = RewardManager(env, Terms(speed=RewardTerm(speed, weight=2.0), alive=RewardTerm(one, weight=-0.5)))
+    torch.testing.assert_close(rewards.compute(0.02), 0.02 * (2.0 * env.speed - 0.5))
+    assert rewards.last.tolist() == [[0.0, -0.5], [2.0, -0.5], [4.0, -0.5], [6.0, -0.5]]
+
+
+def test_the_mean_over_finished_episodes_is_logged_per_second_of_a_full_episode(env, mask):
+    rewards = RewardManager(env, Terms(speed=RewardTerm(speed, weight=2.0), alive=RewardTerm(one)))
+    for _ in range(50):  # one second of ten
+        rewards.compute(0.02)
+    rewards.reset(mask(N, 1, 3))
+    logged = env.log.flush()
+    assert logged["Reward/speed"] == pytest.approx(2.0 * (1.0 + 3.0) / 2 / 10.0)
+    assert logged["Reward/alive"] == pytest.approx(0.1)
+
+
+def test_the_sums_of_other_worlds_go_on(env, mask):
+    rewards = RewardManager(env, Terms(alive=RewardTerm(one)))
+    rewards.compute(1.0)
+    rewards.reset(mask(N, 0))
+    rewards.compute(1.0)
+    env.log.flush()
+    rewards.reset(mask(N, 0))
+    assert env.log.flush()["Reward/alive"] == pytest.approx(1.0 / 10.0)
+    rewards.reset(mask(N, 1, 2, 3))
+    assert env.log.flush()["Reward/alive"] == pytest.approx(2.0 / 10.0)
+
+
+def test_nothing_is_logged_when_no_episode_ends(env, mask):
+    rewards = RewardManager(env, Terms(alive=RewardTerm(one)))
+    rewards.compute(1.0)
+    rewards.reset(mask(N))
+    assert env.log.flush() == {}
+
+
+def test_stateful_rewards_are_reset_with_their_worlds(env, mask):
+    class Last(StatefulTerm):
+        def __init__(self, env):
+            self.value = env.zeros()
+
+        def __call__(self, env):
+            self.value = torch.maximum(self.value, env.speed)
+            return self.value
+
+        def reset(self, mask):
+            self.value = self.value.masked_fill(mask, 0.0)
+
+    rewards = RewardManager(env, Terms(best=RewardTerm(Last)))
+    rewards.compute(1.0)
+    rewards.reset(mask(N, 1, 2))
+    env.speed = torch.zeros(N)
+    assert rewards.compute(1.0).tolist() == [0.0, 0.0, 0.0, 3.0]
+
+
+def test_a_term_of_weight_zero_is_never_computed(env):
+    def broken(env):
+        raise AssertionError
+
+    assert RewardManager(env, Terms(alive=RewardTerm(one), broken=RewardTerm(broken, weight=0.0))).names == ["alive"]
+
+
+def test_no_reward_at_all_is_a_mistake(env):
+    with pytest.raises(UserError, match="no term has a weight other than zero"):
+        RewardManager(env, Terms(alive=RewardTerm(one, weight=0.0)))
+
+
+def test_a_term_of_the_wrong_shape_is_named(env):
+    def column(env):
+        return env.speed[:, None]
+
+    with pytest.raises(UserError, match=r"reward 'column' returned shape \(4, 1\); it must be \(4,\), one value per w"):
+        RewardManager(env, Terms(alive=RewardTerm(one), column=RewardTerm(column)))

@@ -1,0 +1,74 @@
+"""When episodes end, and whether that is a failure."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from humoslope.managers import StatefulTerm, TerminationManager, TerminationTerm, Terms
+
+N = 4
+
+
+def fallen(env):
+    return env.fallen
+
+
+def late(env):
+    return env.late
+
+
+@pytest.fixture
+def env(make_env, mask):
+    # In world 0 nothing happens, 1 falls, 2 is late, 3 falls at the last moment.
+    return make_env(N, fallen=mask(N, 1, 3), late=mask(N, 2, 3))
+
+
+@pytest.fixture
+def terminations(env):
+    return TerminationManager(env, Terms(late=TerminationTerm(late, time_out=True), fallen=TerminationTerm(fallen)))
+
+
+def test_a_fall_at_the_last_moment_is_a_failure_and_no_time_out(terminations):
+    assert terminations.compute().tolist() == [False, True, True, True]
+    assert terminations.terminated.tolist() == [False, True, False, True]
+    assert terminations.time_outs.tolist() == [False, False, True, False]
+
+
+def test_what_ended_the_last_step_does_not_end_this_one(env, terminations):
+    terminations.compute()
+    env.fallen, env.late = torch.zeros(N, dtype=torch.bool), torch.zeros(N, dtype=torch.bool)
+    assert not terminations.compute().any()
+    assert not terminations.terminated.any()
+    assert not terminations.time_outs.any()
+
+
+def test_the_share_of_each_reason_is_logged_over_the_episodes_that_end(env, terminations):
+    terminations.reset(terminations.compute())
+    logged = env.log.flush()
+    assert logged["Termination/fallen"] == pytest.approx(2 / 3)
+    assert logged["Termination/late"] == pytest.approx(2 / 3)
+
+
+def test_without_terms_nothing_ends(env):
+    terminations = TerminationManager(env, Terms())
+    assert terminations.compute().tolist() == [False] * N
+
+
+def test_stateful_terminations_are_reset_with_their_worlds(env, mask):
+    class Thrice(StatefulTerm):
+        def __init__(self, env):
+            self.count = env.zeros()
+
+        def __call__(self, env):
+            self.count = self.count + 1
+            return self.count >= 3
+
+        def reset(self, mask):
+            self.count = self.count.masked_fill(mask, 0.0)
+
+    terminations = TerminationManager(env, Terms(thrice=TerminationTerm(Thrice)))
+    terminations.compute()
+    terminations.compute()
+    terminations.reset(mask(N, 0, 1))
+    assert terminations.compute().tolist() == [False, False, True, True]
