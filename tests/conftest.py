@@ -1,12 +1,18 @@
-"""What every test rests on: one CPU thread, no deadlines, and the registered terrains and tasks."""
+"""What every test rests on: one CPU thread, no deadlines, the registered content, and environments real and pretended."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 import torch
 from hypothesis import settings
+from torch import Tensor
 
-from humoslope.registry import load_content
+from humoslope.env import EnvCfg, ManagerBasedRlEnv
+from humoslope.managers import Log, Terms
+from humoslope.registry import build_task, load_content
 
 torch.set_num_threads(1)
 settings.register_profile("humoslope", deadline=None, max_examples=50)  # no test depends on how fast the machine is
@@ -16,3 +22,55 @@ settings.load_profile("humoslope")
 @pytest.fixture(scope="session", autouse=True)
 def _content() -> None:
     load_content()
+
+
+class FakeEnv(SimpleNamespace):
+    """Worlds without physics: sizes, a clock, a log, and what a test gives them."""
+
+    num_envs: int
+    device = torch.device("cpu")
+    step_dt = 0.02
+
+    def zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+        return torch.zeros(self.num_envs, *shape, dtype=dtype)
+
+    def uniform(self, low: float, high: float, *shape: int) -> Tensor:
+        return torch.rand(self.num_envs, *shape) * (high - low) + low
+
+
+@pytest.fixture(scope="session")
+def make_env() -> Callable[..., FakeEnv]:
+    """make_env(4, speed=...): a stand-in for an environment of four worlds, with these attributes."""
+
+    def make(num_envs: int = 4, **attributes: object) -> FakeEnv:
+        torch.manual_seed(0)
+        cfg = SimpleNamespace(episode_length_s=10.0, curriculum=Terms())
+        return FakeEnv(num_envs=num_envs, cfg=cfg, log=Log(torch.device("cpu")), **attributes)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def make_stage1() -> Callable[..., ManagerBasedRlEnv]:
+    """make_stage1(8, change): the real Stage I on CPU physics, after `change(cfg)`."""
+
+    def make(num_envs: int, change: Callable[[EnvCfg], None] = lambda cfg: None) -> ManagerBasedRlEnv:
+        cfg = build_task("HumoSlope-Stage1-Unitree-G1").env
+        cfg.num_envs = num_envs
+        cfg.sim.backend = "native"
+        change(cfg)
+        return ManagerBasedRlEnv(cfg)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def mask() -> Callable[..., Tensor]:
+    """mask(4, 1, 3): of four worlds, the second and the last."""
+
+    def make(num_envs: int, *chosen: int) -> Tensor:
+        result = torch.zeros(num_envs, dtype=torch.bool)
+        result[list(chosen)] = True
+        return result
+
+    return make

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -101,7 +102,8 @@ class ManagerBasedRlEnv:
     def __init__(self, cfg: EnvCfg) -> None:
         if cfg.num_envs < 1:
             raise UserError(f"num_envs {cfg.num_envs} must be at least 1.")
-        if cfg.episode_length_s <= 0.0 or cfg.sim.timestep <= 0.0 or cfg.sim.decimation < 1:
+        positive = 0.0 < cfg.episode_length_s < math.inf and 0.0 < cfg.sim.timestep < math.inf
+        if not positive or cfg.sim.decimation < 1:
             raise UserError("episode_length_s and sim.timestep must be positive, sim.decimation at least 1.")
         self.cfg = cfg
         self.robot = cfg.scene.robot

@@ -5,6 +5,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+LISTED = 20
+"""Names that a message lists at most."""
+
 
 class UserError(Exception):
     """A mistake the user can put right. The command line prints its message alone and exits with code 2."""
@@ -20,5 +23,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     """
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.4)
-    hint = f"did you mean '{near[0]}'?" if near else f"there are: {', '.join(names) or 'none'}."
+    more = f", ... ({len(names) - LISTED} more)" if len(names) > LISTED else ""
+    listed = ", ".join(names[:LISTED]) or "none"
+    hint = f"did you mean '{near[0]}'?" if near else f"there are: {listed}{more}."
     return UserError(f"{kind} '{name}' does not exist; {hint}")

@@ -46,7 +46,7 @@ def test_interval_events_strike_each_world_within_their_interval_and_again_and_a
     for world in range(N):
         times = 0.01 * (struck[:, world].nonzero().flatten() + 1)
         gaps = torch.diff(times, prepend=torch.zeros(1))
-        assert 0.5 - 0.011 <= gaps.min()
+        assert gaps.min() >= 0.5 - 0.011
         assert gaps.max() <= 1.0 + 0.011
         assert len(gaps) >= 4
     first = struck.to(torch.int8).argmax(dim=0)

@@ -49,11 +49,9 @@ def test_every_group_is_computed(env):
 
 
 @given(noise=st.floats(0.01, 5.0), scale=st.floats(0.1, 10.0))
-def test_noise_is_uniform_within_its_bounds_in_the_terms_own_unit(noise, scale):
+def test_noise_is_uniform_within_its_bounds_in_the_terms_own_unit(make_env, noise, scale):
     n = 2000
-    from tests.managers.conftest import FakeEnv  # a fixture would be shared by all examples
-
-    env = FakeEnv(num_envs=n, speed=torch.full((n, 1), 3.0))
+    env = make_env(n, speed=torch.full((n, 1), 3.0))
     observations = manager(env, corrupt=True, speed=ObservationTerm(speed, noise=noise, scale=scale))
     error = observations.compute(torch.zeros(n, dtype=torch.bool))["actor"] / scale - 3.0
     assert error.abs().max() <= noise * 1.0001 + 1e-5

@@ -20,11 +20,16 @@ def list_content() -> None:
     """Lists the registered tasks and terrains."""
     load_content()
     tasks = Table("task", "what it is", box=SIMPLE_HEAD, title="Tasks: humoslope train TASK", title_justify="left")
-    tasks.columns[0].overflow = "fold"  # a name is to be copied, so nothing of it may be cut off
+    tasks.columns[0].no_wrap = True  # a name is to be copied, so none of it may be cut off
     for name, line in all_tasks().items():
         tasks.add_row(name, line)
     terrains = Table(
-        "terrain", "grade °", "what it is", box=SIMPLE_HEAD, title="Terrains: humoslope terrain NAME", title_justify="left"
+        "terrain",
+        "grade °",
+        "what it is",
+        box=SIMPLE_HEAD,
+        title="Terrains: humoslope terrain NAME",
+        title_justify="left",
     )
     terrains.columns[0].no_wrap = True
     for name in registry.names():

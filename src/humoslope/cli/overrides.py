@@ -8,7 +8,8 @@ into the configuration.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, Literal, get_origin, get_type_hints
 
 from humoslope.managers.terms import Terms
 
@@ -23,8 +24,9 @@ def mirror_type(name: str, value: Any) -> tuple[type, Any] | None:
     """
     fields: list[tuple[str, Any, Any]] = []
     values: dict[str, Any] = {}
+    hints = _hints(value)
     for key, child in _children(value).items():
-        annotation = _annotation(child)
+        annotation = hints.get(key, _annotation(child))
         if annotation is not None:
             fields.append((key, annotation, dataclasses.field(default=child)))
             values[key] = child
@@ -51,6 +53,33 @@ def write_back(value: Any, mirror: Any) -> None:
                 write_back(old, new)
         elif new != old:
             _set(value, field.name, new)
+
+
+def option_names(mirror: Any, prefix: str = "--") -> Iterator[str]:
+    """The options that an instance made by `mirror_type` has on the command line,
+    such as --env.rewards.alive.weight."""
+    for field in dataclasses.fields(mirror):
+        value, name = getattr(mirror, field.name), prefix + field.name.replace("_", "-")
+        if dataclasses.is_dataclass(value):
+            yield from option_names(value, f"{name}.")
+        else:
+            yield name
+
+
+def merge_options(first: list[str], then: list[str], without: tuple[str, ...] = ()) -> list[str]:
+    """Both lists of options as one, in which what comes later replaces what is of the same name.
+
+    Args:
+        without: Names to leave out.
+    """
+    groups: dict[str, list[str]] = {}
+    name = ""
+    for word in [*first, *then]:
+        if word.startswith("--"):
+            name = word.partition("=")[0].replace("_", "-")
+            groups.pop(name, None)
+        groups.setdefault(name, []).append(word)
+    return [word for name, words in groups.items() if name not in without for word in words]
 
 
 def _replaced(old: Any, mirror: Any) -> Any:
@@ -83,6 +112,17 @@ def _children(value: Any) -> dict[str, Any]:
 def _keys(mapping: dict[str, Any]) -> dict[str, str]:
     """Field names for the keys of a mapping: "ramp-up" becomes ramp_up, as a Python name and as an option."""
     return {key.replace("-", "_"): key for key in mapping if key.replace("-", "_").isidentifier()}
+
+
+def _hints(value: Any) -> dict[str, Any]:
+    """Types of a dataclass's fields that its values alone do not tell: choices, and numbers that need not be whole."""
+    if not dataclasses.is_dataclass(value):
+        return {}
+    try:
+        hints = get_type_hints(type(value))
+    except NameError:  # of a type that is only imported for type checking
+        return {}
+    return {name: hint for name, hint in hints.items() if hint is float or get_origin(hint) is Literal}
 
 
 def _annotation(value: Any) -> Any:

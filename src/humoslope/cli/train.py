@@ -13,9 +13,9 @@ import torch
 import tyro
 from rich.console import Console
 
-from humoslope.cli.overrides import mirror_type, write_back
+from humoslope.cli.overrides import merge_options, mirror_type, option_names, write_back
 from humoslope.env import ManagerBasedRlEnv
-from humoslope.errors import UserError
+from humoslope.errors import UserError, unknown
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
 from humoslope.rl import checkpoint
 from humoslope.rl.config import apply_preset
@@ -43,36 +43,63 @@ class TrainArgs:
 def run(arguments: list[str]) -> None:
     """Trains the task named first in `arguments`."""
     load_content()
+    if arguments and arguments[0] in ("-h", "--help"):
+        print("humoslope train TASK [...]; humoslope train TASK --help lists every option.\n")
+        print("\n".join(f"  {name}  {line}" for name, line in all_tasks().items()))
+        return
     if not arguments or arguments[0].startswith("-"):
         raise UserError(f"train needs a task: {', '.join(all_tasks())}.")
     task, options = arguments[0], arguments[1:]
     build_task(task)  # a typing mistake in the name is said before anything else
 
-    args, _ = tyro.cli(TrainArgs, args=[o for o in options if o not in ("-h", "--help")], return_unknown_args=True)
-    run_dir = find_run(task, args.resume) if args.resume else None
-    if run_dir is not None:
-        options = [*_saved_options(run_dir), *options]
+    which = _train_args(task, options).resume
+    resumed = find_run(task, which) if which else None
+    if resumed is not None:
+        options = merge_options(_saved_options(resumed), options)
     cfg, args = parse(task, options)
-    _train(task, cfg, args, run_dir, options)
+    # A resumed run keeps its scale on any machine.
+    kept = merge_options(options, ["--preset", args.preset], without=("--resume", "--run-dir", "--init"))
+    _train(task, cfg, args, resumed, kept)
 
 
 def parse(task: str, options: list[str]) -> tuple[TaskCfg, TrainArgs]:
-    """The task's configuration with preset and overrides applied, and the other options."""
-    early, _ = tyro.cli(TrainArgs, args=[o for o in options if o not in ("-h", "--help")], return_unknown_args=True)
-    cfg = build_task(task)
-    preset = early.preset
+    """The task's configuration with preset and overrides applied, and the other options.
+
+    Raises:
+        UserError: If an option does not exist.
+    """
+    preset = _train_args(task, options).preset
     if preset == "auto":
         preset = "gpu" if torch.cuda.is_available() else "cpu"
+    cfg = build_task(task)
     apply_preset(cfg, preset)
     mirrored = mirror_type("Options", {**vars(TrainArgs()), "env": cfg.env, "agent": cfg.agent})
     assert mirrored is not None
     kind, default = mirrored
-    parsed: Any = tyro.cli(
-        kind, args=options, default=default, prog=f"humoslope train {task}", description=(TrainArgs.__doc__ or "")
+    found: Any = tyro.cli(
+        kind,
+        args=options,
+        default=default,
+        prog=f"humoslope train {task}",
+        description=TrainArgs.__doc__ or "",
+        return_unknown_args=True,
     )
+    parsed, strange = found
+    if strange and strange[0].startswith("-"):
+        raise unknown("option", strange[0].partition("=")[0], option_names(default))
+    if strange:
+        raise UserError(f"'{strange[0]}' follows no option; options look like --env.num-envs 64.")
     write_back(cfg.env, parsed.env)
     write_back(cfg.agent, parsed.agent)
-    return cfg, TrainArgs(**{f.name: getattr(parsed, f.name) for f in dataclasses.fields(TrainArgs)})
+    args = TrainArgs(**{f.name: getattr(parsed, f.name) for f in dataclasses.fields(TrainArgs)})
+    return cfg, dataclasses.replace(args, preset=preset)
+
+
+def _train_args(task: str, options: list[str]) -> TrainArgs:
+    """What has to be known before the other options can be read."""
+    quiet = [option for option in options if option not in ("-h", "--help")]
+    args, _ = tyro.cli(TrainArgs, args=quiet, prog=f"humoslope train {task}", return_unknown_args=True)
+    return args
 
 
 def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, options: list[str]) -> None:
@@ -80,28 +107,44 @@ def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, optio
     if world_size > 1:
         cfg.env.sim.device = f"cuda:{os.environ['LOCAL_RANK']}"
     # Every process draws its own randomness.
-    seed_everything(cfg.env.seed + rank)
     cfg.env.seed += rank
-    cfg.agent.to_rsl_rl()  # impossible numbers are said before anything is built or written
+    seed_everything(cfg.env.seed)
 
-    env = ManagerBasedRlEnv(cfg.env)
-    start = resumed is not None and checkpoint.latest(resumed)
+    # What can be wrong is said before anything is written, and as far as possible before anything is built.
+    cfg.agent.to_rsl_rl()
     run_dir = resumed or Path(args.run_dir or Path("logs") / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
-    if resumed is None and run_dir.exists() and any(run_dir.glob("model_*.pt")):
+    start = checkpoint.latest(resumed) if resumed else None
+    if start is not None:
+        checkpoint.load(start, task)
+    elif rank == 0:
+        _check_new(run_dir)
+    init = Path(args.init) if args.init and start is None else None
+    if init is not None:
+        checkpoint.load(init)
+    env = ManagerBasedRlEnv(cfg.env)
+    with tee(run_dir / "console.log" if rank == 0 else None) as console:
+        runner = Runner(task, env, cfg.agent, run_dir if rank == 0 else None, console)
+        if start is not None:
+            runner.resume(start)
+        elif init is not None:
+            runner.warm_start(init)
+        if rank == 0:
+            describe_run(run_dir, task, cfg, options)
+        _introduce(console, task, env, run_dir)
+        if start is not None:
+            console.print(f"Resumed from {start}.")
+        runner.train()
+
+
+def _check_new(run_dir: Path) -> None:
+    """Raises UserError unless a new run can be put there."""
+    if any((run_dir / name).exists() for name in ("config.json", "console.log")) or any(run_dir.glob("model_*.pt")):
         raise UserError(
             f"run folder '{run_dir}' holds a run already; resume it with --resume {run_dir}, or choose another."
         )
-    with tee(run_dir / "console.log" if rank == 0 else None) as console:
-        _introduce(console, task, env, run_dir)
-        runner = Runner(task, env, cfg.agent, run_dir if rank == 0 else None, console)
-        if start:
-            runner.resume(start)
-            console.print(f"Resumed from {start}.")
-        elif args.init:
-            runner.warm_start(Path(args.init))
-        if rank == 0:
-            describe_run(run_dir, task, cfg, _keep(options))
-        runner.train()
+    existing = next(p for p in (run_dir, *run_dir.absolute().parents) if p.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK):
+        raise UserError(f"run folder '{run_dir}' cannot be made: '{existing}' is no folder one can write to.")
 
 
 def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Path) -> None:
@@ -115,19 +158,6 @@ def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Pat
     env.describe(console)
 
 
-def _keep(options: list[str]) -> list[str]:
-    """The options without those that only concern how this process was started."""
-    kept, skip = [], False
-    for option in options:
-        if skip:
-            skip = False
-        elif option in ("--resume", "--run-dir", "--init"):
-            skip = True
-        elif not option.startswith(("--resume=", "--run-dir=", "--init=")):
-            kept.append(option)
-    return kept
-
-
 def _saved_options(run_dir: Path) -> list[str]:
     file = run_dir / "options.txt"
-    return shlex.split(file.read_text()) if file.is_file() else []
+    return shlex.split(file.read_text(encoding="utf-8")) if file.is_file() else []

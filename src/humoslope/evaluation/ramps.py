@@ -233,7 +233,9 @@ def summarise(trials: Trials, protocol: RampProtocol) -> list[RampResult]:
 
 def table(results: Sequence[RampResult]) -> Table:
     """The figures as a table, from the steepest way down to the steepest way up."""
-    table = Table(title="Ramps", box=SIMPLE_HEAD, caption="speed, its errors and height: from 2 s on, while the robot is up")
+    table = Table(
+        title="Ramps", box=SIMPLE_HEAD, caption="speed, its errors and height: from 2 s on, while the robot is up"
+    )
     for column in (
         "grade\n°",
         "\nfalls",

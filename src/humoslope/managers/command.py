@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -49,8 +50,13 @@ class CommandManager:
     def __init__(self, env: Env, cfg: VelocityCommand) -> None:
         for name in ("speed", "lateral", "yaw_rate", "resample_s"):
             low, high = getattr(cfg, name)
-            if low > high:
+            if not -math.inf < low <= high < math.inf:
                 raise UserError(f"command: {name} ({low:g}, {high:g}) must be (lowest, highest).")
+        if cfg.resample_s[0] <= 0.0:
+            raise UserError(f"command: resample_s {cfg.resample_s} must be positive times.")
+        for name in ("heading_share", "standing_share"):
+            if not 0.0 <= getattr(cfg, name) <= 1.0:
+                raise UserError(f"command: {name} {getattr(cfg, name)} must be between 0 and 1.")
         self._env, self.cfg = env, cfg
         self.velocity = env.zeros(3)  # [N, 3] forward, left (m/s), yaw rate (rad/s)
         self._yaw_rate = env.zeros()  # [N] of the worlds without a heading target

@@ -84,7 +84,7 @@ def bind(kind: str, name: str, term: Term, env: Env, implicit: tuple[str, ...] =
     if not inspect.isclass(term.func):
         _check_params(where, term.func, term.params, implicit)
         return partial(term.func, **term.params)
-    if not issubclass(term.func, StatefulTerm):
+    if not issubclass(term.func, StatefulTerm) or inspect.isabstract(term.func):
         raise UserError(f"{where}: class {term.func.__name__} must derive from StatefulTerm and define reset(mask).")
     _check_params(where, term.func, term.params, ("env",))
     make: Callable[..., Any] = term.func

@@ -58,9 +58,11 @@ class WithdrawHarness(StatefulTerm):
 
     Args:
         event: Name of the `Harness` event.
-        rate: Scale taken away per second of training time in one world. 0.0083 is 0.004 in a rollout of 24 steps of 20 ms.
+        rate: Scale taken away per second of training time in one world. 0.0083 is 0.004 in a rollout of 24 steps of 20
+            ms.
         falls_per_second: Falls per world and second above which it is left as it is.
-        speed_share: Share of the commanded speed below which it is left as it is: standing still in the harness is no skill.
+        speed_share: Share of the commanded speed below which it is left as it is: standing still in the harness is no
+            skill.
         memory_s: Time over which both are averaged, s.
     """
 
@@ -79,7 +81,8 @@ class WithdrawHarness(StatefulTerm):
         self._harness, self._rate = harness, rate
         self._most_falls, self._least_speed = falls_per_second, speed_share
         self._keep = 1.0 - env.step_dt / memory_s
-        # Starts as if everyone fell and nobody walked, so that nothing is withdrawn before the robots have proven themselves.
+        # Starts as if everyone fell and nobody walked,
+        # so that nothing is withdrawn before the robots have proven themselves.
         self._falls = torch.ones((), device=env.device)  # per second
         self._speed = torch.zeros((), device=env.device)  # share of the commanded one
 

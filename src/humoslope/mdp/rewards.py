@@ -153,10 +153,10 @@ def body_contact(env: Env, force: float) -> Tensor:
 
 
 class SingleStance(StatefulTerm):
-    """Time both feet have been in their present mode, counted only on one leg:
-    rewards stepping without prescribing a clock.
+    """Time on one leg: rewards stepping without prescribing a clock.
 
-    The value is the shorter of the two times, in s, up to `cap`; zero for worlds that are asked to stand.
+    The value is the shorter of the times that the two feet have been in their present mode, as a share of `cap` (s)
+    and at most one; zero unless exactly one foot is down, and for worlds that are asked to stand.
     """
 
     def __init__(self, env: Env, cap: float) -> None:
@@ -170,7 +170,7 @@ class SingleStance(StatefulTerm):
         self._time_in_mode = (self._time_in_mode + env.step_dt).masked_fill(changed, 0.0)
         self._contact = contact
         single = (contact.sum(dim=1) == 1) & env.commands.moving
-        return self._time_in_mode.min(dim=1).values.clamp(max=self._cap) * single
+        return (self._time_in_mode.min(dim=1).values / self._cap).clamp(max=1.0) * single
 
     def reset(self, mask: Tensor) -> None:
         """Time starts anew."""

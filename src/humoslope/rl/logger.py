@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rsl_rl.utils.logger import Logger
 from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,6 +37,7 @@ class TrainingLogger(Logger):
         self, env: ManagerBasedRlEnv, console: Console, after_log: Callable[[dict[str, float]], None], **kwargs: Any
     ) -> None:
         super().__init__(**kwargs)
+        self.git_status_repos = []  # the run folder says it already
         self._env, self._console, self._after_log = env, console, after_log
         self._started = time.monotonic()
 
@@ -77,6 +79,19 @@ class TrainingLogger(Logger):
                 self.writer.add_scalar(name, value, it)
             self._print(it, start_it, total_it, values)
         self._after_log(values)
+
+    def save_model(self, path: str, it: int) -> None:
+        """Puts the curves up to a checkpoint on the disk together with it,
+        so that a killed run resumes without a gap."""
+        super().save_model(path, it)
+        if isinstance(self.writer, SummaryWriter):
+            self.writer.flush()
+
+    def stop_logging_writer(self) -> None:
+        """Writes what is left of the curves."""
+        super().stop_logging_writer()
+        if isinstance(self.writer, SummaryWriter):
+            self.writer.close()
 
     def _print(self, it: int, start_it: int, total_it: int, values: dict[str, float]) -> None:
         per_iteration = (time.monotonic() - self._started) / (it + 1 - start_it)

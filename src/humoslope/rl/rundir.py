@@ -6,10 +6,11 @@ import dataclasses
 import json
 import shlex
 import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, cast
 
 from rich.console import Console
 
@@ -77,19 +78,27 @@ def git_state() -> str:
 
 
 class _Both:
-    """Writes to the terminal and to a file."""
+    """Writes to the terminal and to a file, which is opened only when there is something to write."""
 
-    def __init__(self, *files: IO[str]) -> None:
-        self._files = files
+    def __init__(self, terminal: IO[str], path: Path) -> None:
+        self._terminal, self._path = terminal, path
+        self._file: IO[str] | None = None
 
     def write(self, text: str) -> int:
-        for file in self._files:
-            file.write(text)
-        return len(text)
+        if self._file is None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._path.open("a", encoding="utf-8")
+        self._file.write(text)
+        return self._terminal.write(text)
 
     def flush(self) -> None:
-        for file in self._files:
-            file.flush()
+        self._terminal.flush()
+        if self._file is not None:
+            self._file.flush()
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
 
 
 @contextmanager
@@ -98,8 +107,8 @@ def tee(path: Path | None) -> Iterator[Console]:
     if path is None:
         yield Console(quiet=True)
         return
-    import sys
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", encoding="utf-8") as file:
-        yield Console(file=_Both(sys.stdout, file), width=None if sys.stdout.isatty() else 140, force_terminal=None)  # type: ignore[arg-type]
+    both = _Both(sys.stdout, path)
+    try:
+        yield Console(file=cast("IO[str]", both), width=None if sys.stdout.isatty() else 140)
+    finally:
+        both.close()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 import signal
 import threading
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -34,6 +36,9 @@ class Runner(OnPolicyRunner):
     Args:
         task: Name of the task, written into checkpoints.
         run_dir: Where curves and checkpoints go; None writes nothing.
+
+    Raises:
+        UserError: If a number of `agent` is impossible.
     """
 
     def __init__(
@@ -42,10 +47,17 @@ class Runner(OnPolicyRunner):
         self.task, self.agent, self.run_dir, self._console = task, agent, run_dir, console
         self._manager_env = env
         self._stop = False
+        samples = env.num_envs * agent.num_steps_per_env
+        if samples < agent.num_mini_batches:
+            raise UserError(
+                f"agent.num_mini_batches {agent.num_mini_batches} is more than the {samples} samples of a rollout "
+                f"({env.num_envs} worlds x {agent.num_steps_per_env} steps)."
+            )
         vec_env = RslRlVecEnv(env)
         cfg = agent.to_rsl_rl()
         mirror = Mirror(env) if agent.symmetry else None
-        super().__init__(vec_env, cfg, None if run_dir is None else str(run_dir), str(env.device))
+        with redirect_stdout(StringIO()):  # it prints the layers of both networks
+            super().__init__(vec_env, cfg, None if run_dir is None else str(run_dir), str(env.device))
         if mirror is not None:
             # Set here, and not through rsl_rl's configuration, which could only name rsl_rl's own class.
             self.alg.symmetry = MirrorAugmentation(vec_env, mirror.augment, use_data_augmentation=True)

@@ -6,6 +6,7 @@ from typing import Literal
 
 import mujoco
 
+from humoslope.errors import unknown
 from humoslope.scene.robot import Robot
 from humoslope.scene.sensors import add_contact_sensors
 from humoslope.terrain.grid import Terrain
@@ -22,7 +23,12 @@ def build_model(
     Args:
         timestep: Physics step, s.
         cone: Shape of the friction cone.
+
+    Raises:
+        UserError: If there is no such cone.
     """
+    if cone not in CONES:
+        raise unknown("friction cone", cone, CONES)
     spec = robot.make_spec()
     add_terrain(spec, terrain)
     add_contact_sensors(spec, robot)

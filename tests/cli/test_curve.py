@@ -1,0 +1,42 @@
+"""`humoslope curve` draws a run's event files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from torch.utils.tensorboard import SummaryWriter
+
+from humoslope.cli import main
+from humoslope.evaluation.curve import PANELS, STEPS
+
+
+@pytest.fixture
+def run_dir(tmp_path: Path) -> Path:
+    """A run of 50 iterations."""
+    writer = SummaryWriter(tmp_path)
+    for i in range(50):
+        writer.add_scalar(STEPS, 12288.0 * (i + 1), i)
+        for panel in PANELS:
+            writer.add_scalar(panel.tag, i / 50.0, i)
+    writer.close()
+    return tmp_path
+
+
+def test_the_picture_lands_in_the_run_folder(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["curve", str(run_dir)]) == 0
+    assert (run_dir / "curve.png").read_bytes().startswith(b"\x89PNG")
+    assert str(run_dir / "curve.png") in capsys.readouterr().out
+
+
+def test_the_picture_lands_where_it_is_wanted(run_dir: Path, tmp_path: Path) -> None:
+    assert main(["curve", str(run_dir), "--out", str(tmp_path / "pictures" / "first")]) == 0
+    assert (tmp_path / "pictures" / "first.png").is_file()
+
+
+def test_mistakes_are_said_in_one_sentence(mistake: Callable[..., str], run_dir: Path, tmp_path: Path) -> None:
+    assert "does not exist" in mistake("curve", str(tmp_path / "nowhere"))
+    (tmp_path / "empty").mkdir()
+    assert "holds no curves" in mistake("curve", str(tmp_path / "empty"))
+    assert "cannot write the curve" in mistake("curve", str(run_dir), "--out", str(tmp_path / "a.docx"))

@@ -1,0 +1,77 @@
+"""A robot in any state on a plane of any slope, without physics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from humoslope.scene.scene import build_model
+from humoslope.scene.signals import Signals
+from humoslope.terrain import TerrainGrid, TerrainQueries
+from humoslope.terrain.grid import Terrain
+from robots.unitree_g1 import UNITREE_G1
+
+
+class Posed:
+    """Signals of one world that reads what `put` wrote."""
+
+    def __init__(self, model: mujoco.MjModel, slope: float, uphill: float) -> None:
+        self._model = model
+        self._readings = {
+            "sensordata": torch.zeros(1, model.nsensordata),
+            "actuator_force": torch.zeros(1, model.nu),
+            "qacc": torch.zeros(1, model.nv),
+        }
+        self.put(root_quat_w=[1.0, 0.0, 0.0, 0.0], torso_quat_w=[1.0, 0.0, 0.0, 0.0])
+        sim = SimpleNamespace(model=model, read=self._readings.__getitem__)
+        self.signals = Signals(sim, UNITREE_G1, TerrainQueries(plane(slope, uphill), "cpu"))
+
+    def put(self, **values: object) -> None:
+        """Writes readings by sensor name ("left" and "right" of a pair: `foot_force_w={"left": ...}`)."""
+        for name, value in values.items():
+            sides = value if isinstance(value, dict) else {"": value}
+            for side, vector in sides.items():
+                sensor = self._model.sensor(f"{name}/{side}" if side else name)
+                columns = slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
+                self._readings["sensordata"][0, columns] = torch.as_tensor(np.array(vector), dtype=torch.float32)
+
+
+def plane(slope: float, uphill: float = 0.0) -> Terrain:
+    """Ground that rises by `slope` degrees towards `uphill` degrees, and is at height 0 in its middle."""
+    axis = np.arange(-30, 31) * 0.1
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    along = x * math.cos(math.radians(uphill)) + y * math.sin(math.radians(uphill))
+    return Terrain(
+        heights=(math.tan(math.radians(slope)) * along).astype(np.float32),
+        cell=0.1,
+        origin=(-3.0, -3.0),
+        tile_origin=np.zeros((1, 1, 3)),
+        kind=("plane",),
+        grade=np.full((1, 1), abs(slope)),
+        tile_length=6.0,
+        tile_width=6.0,
+    )
+
+
+@pytest.fixture(scope="session")
+def g1() -> mujoco.MjModel:
+    return build_model(UNITREE_G1, TerrainGrid(columns={"flat": 1.0}, levels=1, num_columns=1).build(), 0.005, "elliptic")
+
+
+@pytest.fixture(scope="session")
+def pose(g1: mujoco.MjModel) -> Callable[..., Posed]:
+    """pose(30.0, uphill=90.0, root_lin_vel_w=[...]): a robot at the middle of a slope, with these readings."""
+
+    def make(slope: float = 0.0, uphill: float = 0.0, **values: object) -> Posed:
+        posed = Posed(g1, slope, uphill)
+        posed.put(**values)
+        posed.signals.refresh()
+        return posed
+
+    return make
