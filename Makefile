@@ -35,8 +35,8 @@ terrain: $(STAMP) ## Draw the terrain NAME to a PNG
 list: $(STAMP) ## List the registered tasks and terrains
 	@$(BIN)/humoslope list $(ARGS)
 
-bench: $(STAMP) ## Measure speed and memory
-	$(BIN)/humoslope bench $(ARGS)
+bench: $(STAMP) ## Measure speed and memory of Stage I; ARGS="--checkpoint ..." with robots that walk
+	$(BIN)/humoslope bench HumoSlope-Stage1-Unitree-G1 $(ARGS)
 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
 	$(BIN)/python -m pytest $(or $(ARGS),--cov --cov-report=term:skip-covered --cov-fail-under=85)

@@ -1,4 +1,4 @@
-"""What every test rests on: one CPU thread, no deadlines, the registered content, and environments real and pretended."""
+"""What every test rests on: one CPU thread, no deadlines, the registered content, real and pretended environments."""
 
 from __future__ import annotations
 

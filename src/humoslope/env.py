@@ -127,12 +127,15 @@ class ManagerBasedRlEnv:
         self.tiles = Tiles(terrain, cfg.num_envs, self.device)
         self.signals = Signals(self.sim, self.robot, self.terrain)
         self.default_joint_pos = torch.tensor(self.robot.default_joint_pos, device=self.device)  # [J] rad
+        root = (0.0, 0.0, self.robot.default_root_height, 1.0, 0.0, 0.0, 0.0)
+        self._default_qpos = torch.tensor([*root, *self.robot.default_joint_pos], device=self.device)  # [nq]
         ranges = [self.sim.model.joint(name).range for name in self.robot.joint_names]
         self.joint_range = torch.tensor(np.array(ranges), dtype=torch.float32, device=self.device)  # [J, 2] rad
         self._qpos, self._qvel = self.sim.state("qpos"), self.sim.state("qvel")
         self._history: deque[Tensor] = deque(maxlen=STATES_KEPT)
         self._wreck = torch.zeros(STATES_KEPT, self._qpos.shape[1] + self._qvel.shape[1], device=self.device)
         self._wrecked = torch.zeros((), dtype=torch.bool, device=self.device)
+        self.diverged = self.zeros(dtype=torch.bool)  # [N] in the last step
 
         self.commands = CommandManager(self, cfg.command)
         self.actions = ActionManager(self, cfg.actions)
@@ -159,7 +162,7 @@ class ManagerBasedRlEnv:
         self.sim.step(self.cfg.sim.decimation)
         self.signals.refresh()
         self.episode_length_buf += 1
-        broken = self._contain()
+        self.diverged = broken = self._contain()
 
         done = self.terminations.compute() | broken
         terminated, time_outs = self.terminations.terminated | broken, self.terminations.time_outs & ~broken
@@ -186,7 +189,7 @@ class ManagerBasedRlEnv:
 
     def _restart(self, mask: Tensor) -> None:
         """Puts the worlds in `mask` at the start of an episode. Reset events write `start_qpos` and `start_qvel`."""
-        self.start_qpos = self._default_qpos()
+        self.start_qpos = self._default_qpos.repeat(self.num_envs, 1)
         self.start_qvel = torch.zeros_like(self._qvel, dtype=torch.float32)
         self.events.reset(mask)
         self.sim.reset(mask, self.start_qpos, self.start_qvel)
@@ -194,11 +197,6 @@ class ManagerBasedRlEnv:
         self.signals.refresh()
         self.commands.reset(mask)
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
-
-    def _default_qpos(self) -> Tensor:
-        robot = self.robot
-        start = torch.tensor([0.0, 0.0, robot.default_root_height, 1.0, 0.0, 0.0, 0.0, *robot.default_joint_pos])
-        return start.to(self.device).repeat(self.num_envs, 1)
 
     def _contain(self) -> Tensor:
         """Worlds [N] whose physics went wrong. The last states of the first of them are kept for `take_wreck`."""

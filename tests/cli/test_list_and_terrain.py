@@ -28,7 +28,7 @@ def test_a_terrain_is_drawn_by_its_name(tmp_path: Path) -> None:
 
 
 def test_a_misspelt_terrain_gets_its_nearest_match(mistake: Callable[..., str]) -> None:
-    assert "did you mean 'ramp-up'" in mistake("terrain", "ramp-upp").replace("?\n", ".\n")
+    assert "did you mean 'ramp-up'" in mistake("terrain", "ramp-upp")
 
 
 @pytest.mark.parametrize("verb", ["list", "terrain", "ramps", "curve"])

@@ -27,7 +27,7 @@ def walk(path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple
 def test_an_untrained_robot_falls_and_table_and_file_agree(
     untrained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = shutil.copy(untrained, tmp_path)
+    path = Path(shutil.copy(untrained, tmp_path))
     figures, printed = walk(path, capsys)
     rows = {line.split()[0]: line.split() for line in printed.splitlines() if "/2" in line}
     assert list(rows) == ["-20", "0"]

@@ -136,9 +136,19 @@ def test_way_on_a_ramp_is_the_hypotenuse(grade: float, x: float, step: float) ->
         assert end - start == pytest.approx(math.hypot(step, step * math.tan(math.radians(grade))), abs=1e-9)
 
 
+def test_no_number_is_cut_off_in_a_narrow_terminal() -> None:
+    protocol = dataclasses.replace(SMALL, starts=512)
+    console = Console(width=80)
+    with console.capture() as captured:
+        console.print(
+            table(summarise(standing(1536, fell=np.ones(1536, dtype=bool), end=np.full(1536, 15.0)), protocol))
+        )
+    assert "512/512" in captured.get()
+    assert "…" not in captured.get()
+
+
 def test_the_table_runs_from_the_steepest_way_down_to_the_steepest_way_up() -> None:
-    console = Console(width=80, record=True, quiet=True)
-    console.quiet = False
+    console = Console(width=80)
     with console.capture() as captured:
         console.print(table(summarise(standing(6), SMALL)))
     rows = [line.split() for line in captured.get().splitlines() if "0/2" in line]

@@ -14,7 +14,9 @@ from humoslope.errors import UserError
 from humoslope.managers import CommandManager, VelocityCommand
 
 N = 1000
-STEERED = VelocityCommand(heading_share=1.0, standing_share=0.0, heading_gain=0.5, lateral_gain=0.3, yaw_rate_limit=10.0)
+STEERED = VelocityCommand(
+    heading_share=1.0, standing_share=0.0, heading_gain=0.5, lateral_gain=0.3, yaw_rate_limit=10.0
+)
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +123,15 @@ def test_steering_follows_the_heading_between_two_draws(make_commands):
 def test_a_range_the_wrong_way_round_is_named(make_commands, name):
     with pytest.raises(UserError, match=rf"command: {name} \(2, 1\) must be \(lowest, highest\)"):
         make_commands(VelocityCommand(**{name: (2.0, 1.0)}))
+
+
+@pytest.mark.parametrize("name", ["heading_share", "standing_share"])
+@pytest.mark.parametrize("share", [-0.1, 1.5])
+def test_a_share_of_worlds_beyond_all_or_nothing_is_refused(make_commands, name, share):
+    with pytest.raises(UserError, match=f"command: {name} {share} must be between 0 and 1"):
+        make_commands(VelocityCommand(**{name: share}))
+
+
+def test_commands_that_hold_for_no_time_are_refused(make_commands):
+    with pytest.raises(UserError, match="resample_s .* must be positive times"):
+        make_commands(VelocityCommand(resample_s=(0.0, 1.0)))

@@ -26,7 +26,8 @@ def event(name, **options):
 
 def test_each_event_strikes_in_its_own_mode(env, mask):
     events = EventManager(
-        env, Terms(once=event("once", mode="startup"), anew=event("anew", mode="reset"), ever=event("ever", mode="step"))
+        env,
+        Terms(once=event("once", mode="startup"), anew=event("anew", mode="reset"), ever=event("ever", mode="step")),
     )
     assert env.struck == []
     events.startup()

@@ -132,7 +132,9 @@ def test_a_class_that_is_no_stateful_term_is_refused(make_env):
         def __init__(self, env):
             pass
 
-    with pytest.raises(UserError, match=r"reward 'memory': class Memory must derive from StatefulTerm and define reset"):
+    with pytest.raises(
+        UserError, match=r"reward 'memory': class Memory must derive from StatefulTerm and define reset"
+    ):
         bind("reward", "memory", Term(Memory), make_env())
 
 

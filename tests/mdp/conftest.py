@@ -61,7 +61,9 @@ def plane(slope: float, uphill: float = 0.0) -> Terrain:
 
 @pytest.fixture(scope="session")
 def g1() -> mujoco.MjModel:
-    return build_model(UNITREE_G1, TerrainGrid(columns={"flat": 1.0}, levels=1, num_columns=1).build(), 0.005, "elliptic")
+    return build_model(
+        UNITREE_G1, TerrainGrid(columns={"flat": 1.0}, levels=1, num_columns=1).build(), 0.005, "elliptic"
+    )
 
 
 @pytest.fixture(scope="session")

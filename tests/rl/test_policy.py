@@ -104,7 +104,7 @@ def test_an_actor_of_another_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="another kind of actor: it has no hidden layer"):
         load_actor(path, environment())
     path = save(tmp_path / "model_8.pt", network((8,), True), actor_state_dict=weights | {"extra": torch.zeros(1)})
-    with pytest.raises(UserError, match="another kind of actor: .*extra"):
+    with pytest.raises(UserError, match=r"another kind of actor: .*extra"):
         load_actor(path, environment())
 
 

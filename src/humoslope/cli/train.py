@@ -7,7 +7,7 @@ import os
 import shlex
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 import tyro
@@ -18,7 +18,7 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError, unknown
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
 from humoslope.rl import checkpoint
-from humoslope.rl.config import apply_preset
+from humoslope.rl.config import Preset, apply_preset, resolve_preset
 from humoslope.rl.rundir import describe_run, find_run, tee
 from humoslope.rl.runner import Runner, seed_everything
 
@@ -34,7 +34,7 @@ class TrainArgs:
         init: A checkpoint of any task to take the actor from; training starts at iteration 0.
     """
 
-    preset: Literal["auto", "cpu", "gpu"] = "auto"
+    preset: Preset = "auto"
     resume: str = ""
     run_dir: str = ""
     init: str = ""
@@ -68,9 +68,7 @@ def parse(task: str, options: list[str]) -> tuple[TaskCfg, TrainArgs]:
     Raises:
         UserError: If an option does not exist.
     """
-    preset = _train_args(task, options).preset
-    if preset == "auto":
-        preset = "gpu" if torch.cuda.is_available() else "cpu"
+    preset = resolve_preset(_train_args(task, options).preset)
     cfg = build_task(task)
     apply_preset(cfg, preset)
     mirrored = mirror_type("Options", {**vars(TrainArgs()), "env": cfg.env, "agent": cfg.agent})

@@ -36,6 +36,7 @@ class RewardManager:
         self._calls = [self._stateful.keep(bind("reward", name, term, env)) for name, term in terms.items()]
         self._weights = torch.tensor([term.weight for term in terms.values()], device=env.device)  # [T]
         self._sums = torch.zeros(env.num_envs, len(terms), device=env.device)  # [N, T] over the episode
+        self._seconds = env.zeros()  # [N] they are over
         for name, call in zip(self.names, self._calls, strict=True):
             shape = tuple(call(env).shape)
             if shape != (env.num_envs,):
@@ -48,14 +49,16 @@ class RewardManager:
         values = torch.stack([call(self._env) for call in self._calls], dim=1) * self._weights  # [N, T] per second
         self.last = values
         self._sums += values * dt
+        self._seconds += dt
         return values.sum(dim=1) * dt
 
     def reset(self, mask: Tensor) -> None:
-        """Logs and clears the episode sums of the worlds in `mask`, in reward per second of a full episode."""
-        means = self._sums / self._env.cfg.episode_length_s
+        """Logs and clears the episode sums of the worlds in `mask`, as reward per second."""
+        means = self._sums / self._seconds.clamp(min=1e-6)[:, None]
         for i, name in enumerate(self.names):
             self._env.log.add(f"Reward/{name}", means[:, i], mask)
         self._sums = self._sums.masked_fill(mask[:, None], 0.0)
+        self._seconds = self._seconds.masked_fill(mask, 0.0)
         self._stateful.reset(mask)
 
     def table(self) -> Table:

@@ -42,7 +42,8 @@ class TerrainLevels(StatefulTerm):
         covered = env.signals.root_pos_w[:, 0] - tiles.origin_w[:, 0] - tiles.spawn_x
         rise = covered >= self._up * end
         sink = ~rise & (env.terminations.terminated | (covered < self._down * self._asked))
-        level = tiles.level + (mask & rise).to(torch.int64) - (mask & sink).to(torch.int64)
+        ended = mask & ~env.diverged  # where physics that went wrong has put a robot says nothing
+        level = tiles.level + (ended & rise).to(torch.int64) - (ended & sink).to(torch.int64)
         anywhere = torch.randint_like(level, tiles.num_levels)
         level = torch.where(level >= tiles.num_levels, anywhere, level).clamp(min=0)
         if self._harness is not None:

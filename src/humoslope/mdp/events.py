@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import torch
@@ -31,6 +32,12 @@ def _check(name: str, bounds: Range, least: float = -float("inf")) -> None:
         )
 
 
+@lru_cache(maxsize=16)
+def _stance(device: torch.device) -> Tensor:
+    """Points around the root, [5, 2] m, that a standing robot covers."""
+    return torch.tensor([[0.0, 0.0], [0.12, 0.12], [0.12, -0.12], [-0.12, 0.12], [-0.12, -0.12]], device=device)
+
+
 def reset_on_tile(env: Env, mask: Tensor, along: Range, across: Range, yaw: Range, lift: float = 0.01) -> None:
     """Starts the robot in its default pose at the start of its tile, facing along it.
 
@@ -44,8 +51,7 @@ def reset_on_tile(env: Env, mask: Tensor, along: Range, across: Range, yaw: Rang
     y = tiles.origin_w[:, 1] + env.uniform(*across)
     xy = torch.stack([x, y], dim=1)
     # Highest of the ground under the stance, so that no foot starts in it.
-    around = torch.tensor([[0.0, 0.0], [0.12, 0.12], [0.12, -0.12], [-0.12, 0.12], [-0.12, -0.12]], device=env.device)
-    ground = env.terrain.height(xy[:, None] + around).amax(dim=1)
+    ground = env.terrain.height(xy[:, None] + _stance(env.device)).amax(dim=1)
     start[:, :2] = xy
     start[:, 2] += ground + lift
     start[:, 3:7] = quaternion.from_yaw(env.uniform(*yaw))

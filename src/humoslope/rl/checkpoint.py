@@ -39,7 +39,10 @@ def load(path: Path, task: str | None = None, device: torch.device | str = "cpu"
     try:
         state = torch.load(path, map_location=device, weights_only=True)
     except (RuntimeError, EOFError, OSError, ValueError, KeyError, pickle.UnpicklingError, zipfile.BadZipFile):
-        raise UserError(f"checkpoint '{path}' is broken or truncated; take an earlier one of the same run.") from None
+        raise UserError(
+            f"checkpoint '{path}' is broken or truncated, or no checkpoint at all; "
+            "a run resumes from the one before it once it is removed."
+        ) from None
     if not isinstance(state, dict) or "format" not in state or "actor_state_dict" not in state:
         raise UserError(f"'{path}' is not a HumoSlope checkpoint.")
     if state["format"] != FORMAT:

@@ -117,6 +117,13 @@ class AgentCfg:
         }
 
 
+def resolve_preset(preset: Preset) -> Literal["cpu", "gpu"]:
+    """The preset itself; for "auto", the one for what this machine has."""
+    if preset == "auto":
+        return "gpu" if torch.cuda.is_available() else "cpu"
+    return preset
+
+
 def apply_preset(cfg: TaskCfg, preset: Literal["cpu", "gpu"]) -> None:
     """Sets the scale of a task for a machine: worlds, network width, epochs and physics step;
     never what is observed or rewarded.

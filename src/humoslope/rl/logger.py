@@ -37,7 +37,7 @@ class TrainingLogger(Logger):
         self, env: ManagerBasedRlEnv, console: Console, after_log: Callable[[dict[str, float]], None], **kwargs: Any
     ) -> None:
         super().__init__(**kwargs)
-        self.git_status_repos = []  # the run folder says it already
+        self.git_status_repos: list[str] = []  # the run folder says it already
         self._env, self._console, self._after_log = env, console, after_log
         self._started = time.monotonic()
 

@@ -124,7 +124,10 @@ class Runner(OnPolicyRunner):
         self._load_networks(path, state)
         self.current_learning_iteration = state["iter"] + 1
         self.logger.tot_timesteps, self.logger.tot_time = state["total_steps"], state["total_time"]
-        self._manager_env.load_state_dict(state["env"])
+        try:
+            self._manager_env.load_state_dict(state["env"])
+        except KeyError as missing:
+            raise UserError(f"checkpoint '{path}' lacks {missing}; another version of the code wrote it.") from None
         checkpoint.restore_rng(state["rng"])
 
     def warm_start(self, path: Path) -> None:

@@ -1,0 +1,140 @@
+"""`humoslope bench TASK`: how fast a task runs on this machine, and what it costs over the bare physics."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import multiprocessing
+import os
+import platform
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from statistics import median
+from typing import Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+import humoslope
+from humoslope.errors import UserError
+from humoslope.files import write_text
+from humoslope.registry import build_task, load_content
+from humoslope.rl import checkpoint as checkpoints
+from humoslope.rl.benchmark import RANDOM_STD, Measurement, measure
+from humoslope.rl.config import Preset, resolve_preset
+
+TARGETS = "Targets with the cpu preset: env.step 80 %, PPO 45 % of raw at 512 worlds; less than 2,048 MiB at 4096."
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Measures bare physics, env.step and the whole PPO loop in turn. All speeds are control steps of all worlds per
+    second; the bare physics is given the states and controls that env.step went through.
+
+    Attributes:
+        task: Name of a registered task.
+        sizes: Numbers of worlds. Each is measured in a process of its own, so that its peak memory is its own.
+        rounds: How often each of the three is measured; medians are shown.
+        preset: Scale of everything but the number of worlds; "auto" for what the machine has.
+        checkpoint: A trained actor that drives the robots, so that they touch the ground as in walking. Without one,
+            actions are random.
+        out: Where the figures are written as JSON; by default nowhere.
+    """
+
+    task: tyro.conf.Positional[str]
+    sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)
+    rounds: int = 5
+    preset: Preset = "auto"
+    checkpoint: Path | None = None
+    out: Path | None = None
+
+
+def run(arguments: list[str]) -> None:
+    """Measures the task named in `arguments`."""
+    options = tyro.cli(Options, args=arguments, prog="humoslope bench")
+    load_content()
+    build_task(options.task)
+    if not options.sizes or min(options.sizes) < 1 or options.rounds < 1:
+        raise UserError("sizes and rounds must be at least 1.")
+    if options.checkpoint is not None:
+        checkpoints.load(options.checkpoint)
+    if options.out is not None and options.out.is_dir():
+        raise UserError(f"--out '{options.out}' is a folder; name a file in it.")
+
+    preset = resolve_preset(options.preset)
+    console = Console()
+    driver = f"the actor of {options.checkpoint}" if options.checkpoint else f"random actions of std {RANDOM_STD:g}"
+    load = os.getloadavg()[0]
+    console.print(
+        f"{options.task}, preset {preset}, driven by {driver}; {os.cpu_count()} cores, load {load:.1f} before.",
+        soft_wrap=True,
+        highlight=False,
+    )
+    results = []
+    for size in sorted(options.sizes):
+        results.append(_measure_apart(options, preset, size))
+        console.print(f"  {size} worlds: {median(results[-1].env):,.0f} steps/s", highlight=False)
+    console.print(speed_table(results), parts_table(results))
+    if options.out is not None:
+        write_text(options.out, json.dumps(_report(options, preset, driver, load, results), indent=2) + "\n")
+        console.print(f"wrote {options.out}", soft_wrap=True)
+
+
+def _measure_apart(options: Options, preset: Literal["cpu", "gpu"], worlds: int) -> Measurement:
+    # A fresh interpreter: a forked one would start with this one's memory.
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        try:
+            return pool.submit(measure, options.task, worlds, options.rounds, preset, options.checkpoint).result()
+        except BrokenProcessPool:
+            raise UserError(f"the process with {worlds} worlds was killed; probably memory ran out.") from None
+
+
+def speed_table(results: list[Measurement]) -> Table:
+    """A row for each number of worlds."""
+    table = Table(title="Control steps of all worlds per second", caption=TARGETS)
+    for column in ("worlds", "raw", "env.step", "of raw", "PPO", "of raw", "collect ms", "learn ms", "MiB", "cost"):
+        table.add_column(column, justify="right")
+    reference = next((r for r in results if r.worlds == 256), results[0])
+    table.columns[-1].header = f"cost of a step / {reference.worlds}"
+    for r in results:
+        table.add_row(
+            str(r.worlds),
+            f"{median(r.raw):,.0f}",
+            f"{median(r.env):,.0f}",
+            f"{_share(r.env, r.raw):.0%}",
+            f"{median(r.ppo):,.0f}",
+            f"{_share(r.ppo, r.raw):.0%}",
+            f"{1e3 * median(r.collection_s):,.0f}",
+            f"{1e3 * median(r.learning_s):,.0f}",
+            f"{r.peak_mib:,.0f}",
+            f"{median(reference.env) / median(r.env):.2f}",
+        )
+    return table
+
+
+def parts_table(results: list[Measurement]) -> Table:
+    """Where the time of `env.step` goes, at 512 worlds or the nearest to it that was measured."""
+    result = min(results, key=lambda r: abs(r.worlds - 512))
+    table = Table("part", "share", title=f"env.step with {result.worlds} worlds")
+    for part, share in result.parts.items():
+        table.add_row(part, f"{share:.1%}")
+    return table
+
+
+def _share(some: list[float], whole: list[float]) -> float:
+    return median(a / b for a, b in zip(some, whole, strict=True))
+
+
+def _report(options: Options, preset: str, driver: str, load: float, results: list[Measurement]) -> dict[str, Any]:
+    return {
+        "what": "bench",
+        "version": humoslope.__version__,
+        "task": options.task,
+        "driver": driver,
+        "preset": preset,
+        "machine": {"platform": platform.platform(), "cores": os.cpu_count(), "load_before": load},
+        "unit": "control steps of all worlds per second; one value for each round",
+        "sizes": [dataclasses.asdict(r) for r in results],
+    }

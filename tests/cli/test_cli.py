@@ -1,0 +1,180 @@
+"""A mistake on the command line is one sentence, exit code 2, and nothing written."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from humoslope.cli import VERBS, main
+from humoslope.rl import checkpoint
+
+TASK = "HumoSlope-Stage1-Unitree-G1"
+OTHER_TASK = "HumoSlope-Stage1-NoZMP-Unitree-G1"
+SMALL = [
+    *("--preset", "cpu", "--env.num-envs", "4"),
+    *("--env.scene.terrain.levels", "1", "--env.scene.terrain.num-columns", "7"),
+]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """Every command runs in an empty folder of its own, in which it must leave nothing but what the test put there."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() if path.is_file() else b"" for path in sorted(folder.rglob("*"))}
+
+
+def user(*arguments: str) -> subprocess.CompletedProcess[str]:
+    code = "import sys; from humoslope.cli import main; sys.exit(main())"
+    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+
+
+def test_without_a_verb_or_with_help_all_verbs_are_listed(capsys):
+    for arguments in ([], ["--help"], ["-h"]):
+        assert main(arguments) == 0
+        said = capsys.readouterr().out
+        assert all(f"{verb} " in said for verb in VERBS)
+
+
+def test_a_user_sees_one_sentence_and_exit_code_2(folder):
+    done = user("tran", TASK)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "humoslope: verb 'tran' does not exist; did you mean 'train'?\n"
+    assert content(folder) == {}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["train"], "train needs a task: HumoSlope-Stage1-"),
+        (["train", "--env.num-envs", "3"], "train needs a task"),
+        (["train", "HumoSlope-Stage1-Unitree-G2"], f"did you mean '{TASK}'?"),
+        (["train", TASK, "--env.rewards.aliv.weight", "2"], "did you mean '--env.rewards.alive.weight'?"),
+        (["train", TASK, "--env.rewards.alive.wieght=2"], "did you mean '--env.rewards.alive.weight'?"),
+        (["train", TASK, "--env.num_env", "2"], "did you mean '--env.num-envs'?"),
+        (["train", TASK, "--resum", "latest"], "did you mean '--resume'?"),
+        (["train", TASK, "fast"], "'fast' follows no option"),
+        (["terrain", "ramp-upp"], "did you mean 'ramp-up'?"),
+        (["bench", "HumoSlope-Stage1-Unitree-G2"], f"did you mean '{TASK}'?"),
+        (["bench", TASK, "--sizes", "0"], "sizes and rounds must be at least 1"),
+        (["bench", TASK, "--checkpoint", "none.pt"], "'none.pt' does not exist"),
+    ],
+)
+def test_a_misspelt_name_is_answered_with_the_nearest(mistake, folder, arguments, said):
+    assert said in mistake(*arguments)
+    assert content(folder) == {}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--env.num-envs", "many"],
+        ["--env.num-envs"],
+        ["--preset", "tpu"],
+        ["--env.sim.cone", "round"],
+        ["--env.command.speed", "0.5"],
+    ],
+)
+def test_a_value_of_the_wrong_kind_is_a_short_message_and_exit_code_2(capsys, folder, options):
+    with pytest.raises(SystemExit) as stop:
+        main(["train", TASK, *options])
+    said = capsys.readouterr().err
+    assert stop.value.code == 2
+    assert options[0] in said
+    assert said.count("\n") < 15
+    assert content(folder) == {}
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--env.num-envs", "0"], "num_envs 0 must be at least 1"),
+        (["--env.num-envs", "-3"], "num_envs -3 must be at least 1"),
+        (["--env.sim.timestep", "nan"], "timestep must be positive"),
+        (["--env.sim.decimation", "0"], "decimation at least 1"),
+        (["--env.sim.device", "cuda"], "torch finds no CUDA here"),
+        (["--env.sim.device", "tpu"], "is not one torch knows"),
+        (["--env.scene.terrain.levels", "0"], "levels is 0; it must be at least 1"),
+        (["--env.scene.terrain.columns.ramp-up", "-1"], "the share of 'ramp-up' is -1"),
+        (["--env.command.speed", "0.8", "0.3"], "speed (0.8, 0.3) must be (lowest, highest)"),
+        (["--env.command.standing-share", "1.5"], "standing_share 1.5 must be between 0 and 1"),
+        (["--env.events.friction.params.friction", "1.0", "0.5"], "friction (1, 0.5) must be (lowest, highest)"),
+        (["--agent.max-iterations", "0"], "agent.max_iterations 0 must be at least 1"),
+        (["--agent.num-mini-batches", "1000"], "num_mini_batches 1000 is more than the 96 samples"),
+        (["--run-dir", "file/run"], "is no folder one can write to"),
+        (["--init", "none.pt"], "'none.pt' does not exist"),
+        (["--resume", "none"], "run folder 'none' does not exist"),
+        (["--resume", "latest"], f"there is no run of {TASK} with a checkpoint"),
+        (["--resume", "empty"], "run folder 'empty' holds no checkpoint"),
+    ],
+)
+def test_the_impossible_is_refused_before_anything_is_written(mistake, folder, options, said):
+    if "cuda" in options and torch.cuda.is_available():
+        pytest.skip("this machine has CUDA")
+    (folder / "file").touch()
+    (folder / "empty").mkdir()
+    before = content(folder)
+    assert said in mistake("train", TASK, *SMALL, *options)
+    assert content(folder) == before
+
+
+STATE = {"actor_state_dict": {}, "task": TASK, "format": checkpoint.FORMAT}
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        (b"no checkpoint", "broken or truncated"),
+        (b"", "broken or truncated"),
+        ({"weights": 1}, "is not a HumoSlope checkpoint"),
+        (STATE | {"format": 0}, "has format 0; this version reads format"),
+        (STATE | {"task": OTHER_TASK}, f"belongs to task '{OTHER_TASK}', not to '{TASK}'"),
+    ],
+)
+def test_a_run_does_not_resume_from_what_is_not_its_checkpoint(mistake, folder, state, said):
+    (folder / "run").mkdir()
+    path = folder / "run" / "model_7.pt"
+    path.write_bytes(state) if isinstance(state, bytes) else torch.save(state, path)
+    before = content(folder)
+    answer = mistake("train", TASK, *SMALL, "--resume", "run")
+    assert said in answer
+    assert "model_7.pt" in answer
+    assert content(folder) == before
+
+
+@pytest.mark.parametrize("file", ["config.json", "model_3.pt", "console.log"])
+def test_a_new_run_does_not_write_over_an_old_one(mistake, folder, file):
+    (folder / "run").mkdir()
+    (folder / "run" / file).write_text("mine")
+    before = content(folder)
+    assert "holds a run already; resume it with --resume run" in mistake("train", TASK, *SMALL, "--run-dir", "run")
+    assert content(folder) == before
+
+
+def test_a_checkpoint_that_does_not_fit_leaves_the_run_as_it_was(mistake, folder, untrained):
+    (folder / "run").mkdir()
+    (folder / "run" / "model_0.pt").write_bytes(untrained.read_bytes())
+    before = content(folder)
+    narrow = ["--agent.hidden-dims", "8"]
+    assert "does not fit the configured networks" in mistake("train", TASK, *SMALL, *narrow, "--resume", "run")
+    assert content(folder) == before
+
+
+def test_help_lists_every_task_and_every_field(capsys):
+    assert main(["train", "--help"]) == 0
+    said = capsys.readouterr().out
+    assert TASK in said
+    assert OTHER_TASK in said
+    with pytest.raises(SystemExit) as stop:
+        main(["train", TASK, "--help"])
+    assert stop.value.code == 0
+    said = capsys.readouterr().out
+    for option in ("--resume", "--env.rewards.alive.weight", "--agent.learning-rate", "--env.scene.terrain.levels"):
+        assert option in said

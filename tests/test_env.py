@@ -1,0 +1,329 @@
+"""The environment as a whole, on the real Stage I."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+from torch import Tensor
+
+from humoslope.env import STATES_KEPT, EnvCfg, ManagerBasedRlEnv
+from humoslope.errors import UserError
+from humoslope.managers import Terms
+from humoslope.registry import build_task
+from humoslope.terrain import TerrainGrid
+
+J = 29
+
+
+def all_of(env: ManagerBasedRlEnv) -> Tensor:
+    return torch.ones(env.num_envs, dtype=torch.bool)
+
+
+def noise(env: ManagerBasedRlEnv, step: int, scale: float = 0.3) -> Tensor:
+    """Actions that depend on the step alone, and take nothing from the global generator."""
+    return scale * torch.randn(env.num_envs, J, generator=torch.Generator().manual_seed(step))
+
+
+def few_tiles(cfg: EnvCfg) -> None:
+    """A smaller ground, quickly built."""
+    cfg.scene.terrain = TerrainGrid(columns={"ramp-up": 1.0, "rough-ramp-down": 1.0}, levels=3, num_columns=2)
+
+
+def undisturbed(cfg: EnvCfg) -> None:
+    """Nothing random but the place where robots start, no noise, no harness, no curriculum."""
+    few_tiles(cfg)
+    cfg.events = Terms(root=cfg.events.root, joints=cfg.events.joints)
+    cfg.curriculum = Terms()
+    cfg.observations.actor.corrupt = False
+
+
+# The physics
+
+
+def test_a_world_moves_bit_for_bit_as_in_plain_mujoco(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
+    env = make_stage1(4, undisturbed)
+    env.tiles.set_level(torch.tensor([0, 1, 2, 2]))
+    env._restart(all_of(env))
+    qpos, qvel, ctrl = (env.sim.state(field) for field in ("qpos", "qvel", "ctrl"))
+    singles = [mujoco.MjData(env.sim.model) for _ in range(4)]
+    for world, data in enumerate(singles):
+        data.qpos, data.qvel = qpos[world].numpy(), qvel[world].numpy()
+    running, touched = all_of(env), torch.zeros(4, dtype=torch.bool)
+    for step in range(40):
+        _, _, failed, ended = env.step(noise(env, step))
+        running &= ~(failed | ended)
+        touched |= env.signals.foot_contact.any(dim=1)
+        assert step < 25 or running.any()
+        for world, data in enumerate(singles):
+            if running[world]:
+                # The controls of this step are still there: nothing but a reset changes them.
+                data.ctrl = ctrl[world].numpy()
+                mujoco.mj_step(env.sim.model, data, env.cfg.sim.decimation)
+                np.testing.assert_array_equal(qpos[world].numpy(), data.qpos)
+                np.testing.assert_array_equal(qvel[world].numpy(), data.qvel)
+    assert touched.all()
+
+
+def test_the_same_seed_gives_the_same_trajectory_and_another_seed_another(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    def trajectory(seed: int) -> list[Tensor]:
+        def change(cfg: EnvCfg) -> None:
+            few_tiles(cfg)
+            cfg.seed = seed
+            cfg.episode_length_s = 0.3
+            cfg.events.push.interval_s = (0.1, 0.2)
+
+        env, seen = make_stage1(8, change), []
+        seen.append(env.get_observations()["actor"])
+        for step in range(20):
+            obs, reward, failed, ended = env.step(noise(env, step))
+            seen.extend([obs["actor"], obs["critic"], reward, failed, ended])
+        return seen
+
+    first, again, other = trajectory(1), trajectory(1), trajectory(2)
+    assert all(a.equal(b) for a, b in zip(first, again, strict=True))
+    assert not first[0].equal(other[0])
+    assert not first[-4].equal(other[-4])
+
+
+# What is seen
+
+
+def test_observations_are_fresh_tensors_that_no_later_step_writes(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    env = make_stage1(8, few_tiles)
+    kept, copies = [env.get_observations()], [env.get_observations().clone()]
+    for step in range(4):
+        action = noise(env, step)
+        obs, reward, failed, ended = env.step(action)
+        kept.append(obs)
+        copies.append(obs.clone())
+        assert env.get_observations() is obs
+        action.fill_(100.0)
+        assert reward.shape == failed.shape == ended.shape == (8,)
+    for obs, copy in zip(kept, copies, strict=True):
+        assert all(obs[group].equal(copy[group]) for group in ("actor", "critic"))
+    for group in ("actor", "critic"):
+        assert len({obs[group].data_ptr() for obs in kept}) == len(kept)
+
+
+PROPRIOCEPTIVE = ("joint_pos/", "joint_vel/", "root_quat_w", "root_ang_vel_b")
+"""Sensors that the robot has; of the orientation the actor gets the direction of gravity alone."""
+
+
+def test_nothing_that_only_a_simulator_knows_reaches_the_actor(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
+    env = make_stage1(12)
+    for step in range(5):
+        env.step(noise(env, step))
+
+    def observe() -> dict[str, Tensor]:
+        torch.manual_seed(0)  # the same noise on the actor's observations
+        env.signals.refresh()
+        return dict(env.observations.compute(all_of(env)).items())
+
+    before = observe()
+    model, generator = env.sim.model, torch.Generator().manual_seed(0)
+
+    def scramble(x: Tensor, scale: float) -> None:
+        x += scale * torch.randn(x.shape, generator=generator)
+
+    for i in range(model.nsensor):
+        sensor = model.sensor(i)
+        if not sensor.name.startswith(PROPRIOCEPTIVE):
+            columns = slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
+            scramble(env.signals._sensordata[:, columns], 300.0 if "force" in sensor.name else 1.0)
+    scramble(env.signals._qacc, 10.0)
+    scramble(env.signals._actuator_force, 10.0)
+    scramble(env.terrain._heights, 0.2)
+    scramble(env.sim.expand("geom_friction"), 0.1)
+    scramble(env.sim.expand("body_mass"), 0.1)
+    scramble(env.sim.state("xfrc_applied"), 10.0)
+    env.tiles.set_level(env.tiles.level + 1)
+    after = observe()
+
+    assert after["actor"].equal(before["actor"])
+    start = 0
+    critic = env.observations.groups["critic"]
+    for name, width in critic.widths.items():
+        changed = not after["critic"][:, start : start + width].equal(before["critic"][:, start : start + width])
+        assert changed == (name not in env.observations.groups["actor"].widths), name
+        start += width
+
+
+def test_the_actor_sees_five_steps_of_what_the_robot_measures_and_does(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    env = make_stage1(2, few_tiles)
+    assert env.observations.groups["actor"].widths == {
+        "base_ang_vel": 3,
+        "projected_gravity": 3,
+        "velocity_command": 3,
+        "joint_pos_rel": J,
+        "joint_vel": J,
+        "last_action": J,
+    }
+    assert env.get_observations()["actor"].shape == (2, 5 * 96)
+    assert env.get_observations()["critic"].shape == (2, 96 + 3 + 2 + 2 + 2 + 1 + 49)
+
+
+# Worlds that go wrong
+
+BROKEN = {
+    "nan_velocity": ("qvel", torch.nan),
+    "huge_velocity": ("qvel", 1e15),
+    "endless_velocity": ("qvel", torch.inf),
+    "nan_position": ("qpos", torch.nan),
+    "huge_position": ("qpos", 1e15),
+}
+
+
+@pytest.mark.parametrize("accident", BROKEN)
+def test_a_world_that_diverges_is_reset_counted_and_kept_for_a_look_and_the_others_go_on(
+    make_stage1: Callable[..., ManagerBasedRlEnv], accident: str
+) -> None:
+    env, twin = make_stage1(8, few_tiles), make_stage1(8, few_tiles)
+    for one in (env, twin):
+        torch.manual_seed(5)
+        for step in range(STATES_KEPT):
+            one.step(noise(one, step))
+        one.log.flush()
+    field, value = BROKEN[accident]
+    env.sim.state(field)[3, 8] = value
+
+    others = [0, 1, 2, 4, 5, 6, 7]
+    for step in range(3):
+        results = []
+        for one in (env, twin):
+            torch.manual_seed(step)
+            results.append(one.step(noise(one, 100 + step)))
+        (obs, reward, failed, ended), (obs_twin, reward_twin, failed_twin, _) = results
+        for tensor in (obs["actor"], obs["critic"], reward, env.sim.state("qpos"), env.sim.state("qvel")):
+            assert tensor.isfinite().all()
+        assert failed[3].item() is (step == 0)
+        assert not ended[3]
+        assert reward[3] == 0.0 or step > 0
+        # The others do not even notice.
+        assert failed[others].equal(failed_twin[others])
+        assert reward[others].equal(reward_twin[others])
+        assert obs["critic"][others].equal(obs_twin["critic"][others])
+        assert obs["actor"][others].equal(obs_twin["actor"][others])
+    assert env.episode_length_buf[3] == 2
+    assert env.tiles.level.equal(twin.tiles.level)
+
+    logged = env.log.flush()
+    assert all(np.isfinite(list(logged.values())))
+    assert logged["Train/diverged"] == pytest.approx(1 / 8 / 3)
+    assert twin.take_wreck() is None
+    wreck = env.take_wreck()
+    assert wreck is not None
+    assert wreck.shape == (STATES_KEPT, 36 + 35)
+    assert wreck[:-1].isfinite().all()  # how it came to it
+    assert env.take_wreck() is None
+
+
+def test_a_policy_that_gives_nan_harms_nothing(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
+    env = make_stage1(2, few_tiles)
+    obs, reward, _, _ = env.step(torch.full((2, J), torch.nan))
+    assert reward.isfinite().all()
+    assert obs["actor"].isfinite().all()
+    assert env.sim.state("qpos").isfinite().all()
+
+
+# Checkpoints
+
+
+def test_harness_and_levels_come_back_from_a_state_and_all_worlds_start_on_their_tiles(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    env = make_stage1(8, few_tiles)
+    level = torch.tensor([0, 1, 2, 1, 2, 0, 2, 1])
+    env.tiles.set_level(level)
+    env.curriculum.load_state_dict({"harness": {"scale": 0.0, "falls": 0.01, "speed": 0.8}})
+    file = io.BytesIO()
+    torch.save(env.state_dict(), file)
+    file.seek(0)
+    state = torch.load(file, weights_only=True)
+
+    for num_envs, expected in ((8, level), (4, level[::2]), (16, level.repeat_interleave(2))):
+        other = make_stage1(num_envs, few_tiles)
+        for step in range(3):
+            other.step(noise(other, step))
+        other.load_state_dict(state)
+        assert other.tiles.level.equal(expected)
+        assert other.events["harness"].scale == 0.0
+        assert other.curriculum.state_dict()["harness"] == pytest.approx({"scale": 0.0, "falls": 0.01, "speed": 0.8})
+        assert other.episode_length_buf.count_nonzero() == 0
+        place = other.sim.state("qpos")[:, 0] - other.tiles.origin_w[:, 0]
+        assert ((place - other.tiles.spawn_x).abs() < 0.16).all()
+        assert other.get_observations()["actor"].isfinite().all()
+        other.step(noise(other, 9))
+        assert other.tiles.level.equal(expected)  # no world moves before its episode has ended
+
+
+def test_levels_that_are_no_more_there_are_cut(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
+    env = make_stage1(4, few_tiles)
+    env.load_state_dict(env.state_dict() | {"level": torch.tensor([0, 2, 7, 9])})
+    assert env.tiles.level.tolist() == [0, 2, 2, 2]
+
+
+# The tasks
+
+
+@pytest.mark.parametrize(
+    ("task", "zmp"),
+    [
+        ("HumoSlope-Stage1-Unitree-G1", {}),
+        ("HumoSlope-Stage1-NoZMP-Unitree-G1", None),
+        ("HumoSlope-Stage1-HorizontalZMP-Unitree-G1", {"plane": "horizontal"}),
+    ],
+)
+def test_the_ablations_of_stage_one_differ_in_the_zmp_alone(task: str, zmp: dict[str, str] | None) -> None:
+    cfg, full = build_task(task).env, build_task("HumoSlope-Stage1-Unitree-G1").env
+    assert (cfg.rewards.zmp.params if "zmp" in cfg.rewards else None) == zmp
+    for part in ("rewards", "events", "terminations", "curriculum"):
+        terms, others = (dict(getattr(config, part).items()) for config in (cfg, full))
+        terms.pop("zmp", None), others.pop("zmp", None)
+        assert terms == others
+    for group, other in zip(cfg.observations.items(), full.observations.items(), strict=True):
+        assert dict(group[1].terms.items()) == dict(other[1].terms.items())
+        assert (group[0], group[1].history, group[1].corrupt) == (other[0], other[1].history, other[1].corrupt)
+    cfg.num_envs = 2
+    cfg.sim.backend = "native"
+    few_tiles(cfg)
+    env = ManagerBasedRlEnv(cfg)
+    _, reward, _, _ = env.step(noise(env, 0))
+    assert reward.isfinite().all()
+
+
+def test_a_description_names_every_term(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
+    env, out = make_stage1(2, few_tiles), io.StringIO()
+    env.describe(Console(file=out, width=200))
+    cfg = env.cfg
+    for terms in (cfg.rewards, cfg.terminations, cfg.events, cfg.curriculum, cfg.observations.actor.terms):
+        for name, _ in terms.items():
+            assert name in out.getvalue()
+    assert "left_knee_joint" in out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda cfg: setattr(cfg, "num_envs", 0), "num_envs 0 must be at least 1"),
+        (lambda cfg: setattr(cfg, "episode_length_s", 0.0), "episode_length_s and sim.timestep must be positive"),
+        (lambda cfg: setattr(cfg.sim, "decimation", 0), "sim.decimation at least 1"),
+        (lambda cfg: cfg.rewards.pitch.params.update(share=1.0), "reward 'pitch': parameter 'share' does not exist"),
+    ],
+)
+def test_an_environment_that_cannot_be_is_refused_in_a_sentence(
+    make_stage1: Callable[..., ManagerBasedRlEnv], change: Callable[[EnvCfg], None], message: str
+) -> None:
+    with pytest.raises(UserError, match=message):
+        make_stage1(2, lambda cfg: (few_tiles(cfg), change(cfg)))

@@ -1,0 +1,183 @@
+"""A step never waits for the device; what a GPU would wait for is refused here, on the CPU, which never does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from humoslope.env import ManagerBasedRlEnv
+
+aten = torch.ops.aten
+
+ANSWERS = {aten._local_scalar_dense, aten.item, aten.is_nonzero, aten.equal, aten.allclose}
+"""Operators whose result is a number on the host."""
+
+SIZED_BY_VALUES = {aten.nonzero, aten.masked_select, aten._unique, aten._unique2, aten.unique_dim, aten.bincount}
+"""Operators whose result has a size that depends on values."""
+
+INDEXING = {aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
+
+FROM_HOST = {torch.tensor, torch.as_tensor, torch.from_numpy}
+TO_HOST = {Tensor.cpu, Tensor.numpy, Tensor.tolist, Tensor.item, Tensor.__bool__, Tensor.__int__, Tensor.__float__}
+
+
+class HostSync(AssertionError):
+    """What a step must not do."""
+
+
+class NoHostSync(TorchDispatchMode):
+    """Refuses operators that make the host wait for the device, and copies between the two.
+
+    `exempt` is set while the simulation hands over to NumPy.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.exempt = False
+        self.calls = _NoHostCalls(self)
+
+    def __enter__(self) -> NoHostSync:
+        super().__enter__()
+        self.calls.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.calls.__exit__(kind, error, trace)
+        super().__exit__(kind, error, trace)
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
+        kwargs = kwargs or {}
+        if not self.exempt and self._waits(func.overloadpacket, args, kwargs):
+            raise HostSync(f"{func} makes the host wait for the device")
+        return func(*args, **kwargs)
+
+    @staticmethod
+    def _waits(operator: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> bool:
+        if operator in ANSWERS or operator in SIZED_BY_VALUES:
+            return True
+        if operator is aten.repeat_interleave:
+            return kwargs.get("output_size") is None
+        if operator in INDEXING:
+            return any(i is not None and i.dtype in (torch.bool, torch.uint8) for i in args[1])
+        if operator is aten._to_copy:
+            return kwargs.get("device", args[0].device) != args[0].device
+        return operator is aten.copy_ and args[0].device != args[1].device
+
+
+class _NoHostCalls(TorchFunctionMode):
+    """Refuses calls that copy between host and device; on the CPU they reach no operator."""
+
+    def __init__(self, guard: NoHostSync) -> None:
+        super().__init__()
+        self._guard = guard
+
+    def __torch_function__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
+        if not self._guard.exempt and (func in FROM_HOST or func in TO_HOST):
+            raise HostSync(f"{func} copies between host and device")
+        return func(*args, **(kwargs or {}))
+
+
+@contextmanager
+def no_host_sync(env: ManagerBasedRlEnv, patch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Refuses host syncs, except in the physics' own hand-over."""
+    guard = NoHostSync()
+
+    def exempted(method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            guard.exempt = True
+            try:
+                return method(*args)
+            finally:
+                guard.exempt = False
+
+        return call
+
+    for name in ("step", "reset", "diverged"):
+        patch.setattr(env.sim, name, exempted(getattr(env.sim, name)))
+    with guard:
+        yield
+    patch.undo()
+
+
+def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
+    make_stage1: Callable[..., ManagerBasedRlEnv], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = make_stage1(16)
+    actions = [0.3 * torch.randn(16, 29) for _ in range(20)]
+    for action in actions[:12]:
+        env.step(action)
+    env.log.flush()
+    env.events["harness"].scale = torch.tensor(0.0)  # all levels are open
+    late, climbed, fallen, broken, pushed, asked = range(6)
+    env.episode_length_buf[[late, climbed]] = env.max_episode_length - 1
+    qpos, qvel = env.sim.state("qpos"), env.sim.state("qvel")
+    qpos[climbed, 0] += 8.2
+    qpos[fallen, 3:7] = torch.tensor([0.5, 0.5, 0.5, 0.5])
+    qvel[broken, 10] = torch.nan
+    env.events._time_left["push"][pushed] = 0.01
+    env.commands._time_left[asked] = 0.01
+    env.commands._stands[asked] = False
+    command = env.commands.velocity[asked].clone()
+
+    with no_host_sync(env, monkeypatch):
+        _, _, failed, ended = env.step(actions[12])
+        for action in actions[13:]:
+            obs, reward, _, _ = env.step(action)
+
+    # All of it happened.
+    assert ended.nonzero().flatten().tolist() == [late, climbed]
+    assert failed.nonzero().flatten().tolist() == [fallen, broken]
+    assert env.tiles.level.nonzero().flatten().tolist() == [climbed]
+    assert env.events._time_left["push"][pushed] > 4.0
+    assert env.commands.velocity[asked, 0] != command[0]
+    assert env.log.flush()["Train/diverged"] > 0.0
+    assert env.take_wreck() is not None
+    assert reward.isfinite().all()
+    assert obs["actor"].isfinite().all()
+
+
+X = torch.arange(4.0)
+CHOSEN = X > 1.0
+
+WAITS: dict[str, Callable[[Tensor], Any]] = {
+    "item": lambda x: x.sum().item(),
+    "float": lambda x: float(x[0]),
+    "truth": lambda x: bool(CHOSEN.any()),
+    "nonzero": lambda x: CHOSEN.nonzero(),
+    "where": lambda x: torch.where(CHOSEN),
+    "mask": lambda x: x[CHOSEN],
+    "masked_write": lambda x: x.clone().__setitem__(CHOSEN, 0.0),
+    "masked_select": lambda x: x.masked_select(CHOSEN),
+    "unique": lambda x: x.unique(),
+    "equal": lambda x: x.equal(x),
+    "repeat": lambda x: x.repeat_interleave(x.long()),
+    "list": lambda x: x.tolist(),
+    "numpy": lambda x: x.numpy(),
+    "cpu": lambda x: x.cpu(),
+    "new": lambda x: torch.tensor([1.0, 2.0]),
+    "away": lambda x: x.to("meta"),
+}
+
+
+@pytest.mark.parametrize("name", WAITS)
+def test_the_guard_refuses_what_waits(name: str) -> None:
+    with pytest.raises(HostSync), NoHostSync():
+        WAITS[name](X)
+
+
+def test_the_guard_lets_through_what_does_not_wait() -> None:
+    with NoHostSync():
+        y = torch.where(CHOSEN, 0.0, X).masked_fill(CHOSEN, 1.0) + torch.full((), 2.0)
+        y = y[torch.arange(3)].to(torch.float64).clamp(min=0.0)
+        y[1:] = 0.0
+    assert y.shape == (3,)
