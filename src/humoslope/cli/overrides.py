@@ -8,33 +8,43 @@ into the configuration.
 from __future__ import annotations
 
 import dataclasses
+import inspect
+import re
 from collections.abc import Iterator
-from typing import Any, Literal, get_origin, get_type_hints
+from functools import lru_cache
+from typing import Annotated, Any, Literal, get_origin, get_type_hints
 
-from humoslope.managers.terms import Terms
+import tyro
+
+from humoslope.managers.terms import Term, Terms
+from humoslope.scene.robot import Robot
 
 PLAIN = (bool, int, float, str)
 
 
-def mirror_type(name: str, value: Any) -> tuple[type, Any] | None:
+def mirror_type(name: str, value: Any, helps: dict[str, str] | None = None) -> tuple[type, Any] | None:
     """A dataclass type with the fields of `value` that can be written on a command line,
     and an instance with its values.
 
-    None if there are none.
+    None if there are none. `helps` says what the fields are; by default the docstring of the value's class does.
     """
     fields: list[tuple[str, Any, Any]] = []
     values: dict[str, Any] = {}
     hints = _hints(value)
+    described_by: Any = type(value)
+    helps = _documented(described_by, "Attributes") if helps is None else helps
     for key, child in _children(value).items():
-        annotation = hints.get(key, _annotation(child))
-        if annotation is not None:
-            fields.append((key, annotation, dataclasses.field(default=child)))
-            values[key] = child
-            continue
-        nested = mirror_type(f"{name}_{key}", child)
-        if nested is not None:
-            fields.append((key, nested[0], dataclasses.field(default=nested[1])))
-            values[key] = nested[1]
+        kind, default = hints.get(key, _annotation(child)), child
+        if kind is None:
+            of_term = isinstance(value, Term) and key == "params"
+            nested = mirror_type(f"{name}_{key}", child, _documented(value.func, "Args") if of_term else None)
+            if nested is None:
+                continue
+            kind, default = nested
+        # With the help given here tyro does not look for it in sources, which takes it seconds.
+        described = Annotated[kind, tyro.conf.arg(help=helps.get(key, ""))]  # type: ignore[valid-type]
+        fields.append((key, described, dataclasses.field(default=default)))
+        values[key] = default
     if not fields:
         return None
     made = dataclasses.make_dataclass(name, fields, frozen=True)
@@ -100,6 +110,8 @@ def _set(value: Any, key: str, new: Any) -> None:
 
 
 def _children(value: Any) -> dict[str, Any]:
+    if isinstance(value, Robot):
+        return {}  # what it is, not how it is used: its model would not follow
     if isinstance(value, Terms):
         return dict(value.items())
     if isinstance(value, dict):
@@ -123,6 +135,14 @@ def _hints(value: Any) -> dict[str, Any]:
     except NameError:  # of a type that is only imported for type checking
         return {}
     return {name: hint for name, hint in hints.items() if hint is float or get_origin(hint) is Literal}
+
+
+@lru_cache(maxsize=1024)
+def _documented(thing: Any, section: str) -> dict[str, str]:
+    """What a docstring says of each name in its section "Attributes" or "Args"."""
+    _, _, entries = inspect.cleandoc(thing.__doc__ or "").partition(f"{section}:\n")
+    found = re.finditer(r"^    ([\w, ]+): (.*(?:\n {8}.*)*)", entries, re.MULTILINE)
+    return {name: " ".join(m[2].split()) for m in found for name in m[1].split(", ")}
 
 
 def _annotation(value: Any) -> Any:
