@@ -38,6 +38,7 @@ from humoslope.scene.scene import build_model
 from humoslope.scene.signals import Signals
 from humoslope.scene.tiles import Tiles
 from humoslope.sim import make_simulation
+from humoslope.strict import Strict
 from humoslope.terrain.grid import TerrainGrid, TileRow
 from humoslope.terrain.queries import TerrainQueries
 
@@ -46,7 +47,7 @@ STATES_KEPT = 10
 
 
 @dataclass
-class SimCfg:
+class SimCfg(Strict):
     """Physics.
 
     Attributes:
@@ -68,7 +69,7 @@ class SimCfg:
 
 
 @dataclass
-class SceneCfg:
+class SceneCfg(Strict):
     """The robot and the ground it walks on."""
 
     robot: Robot
@@ -76,7 +77,7 @@ class SceneCfg:
 
 
 @dataclass
-class EnvCfg:
+class EnvCfg(Strict):
     """Everything that defines an environment."""
 
     scene: SceneCfg

@@ -13,10 +13,11 @@ import humoslope
 from humoslope.env import EnvCfg
 from humoslope.errors import UserError, unknown
 from humoslope.rl.config import AgentCfg
+from humoslope.strict import Strict
 
 
 @dataclass
-class TaskCfg:
+class TaskCfg(Strict):
     """A task: the environment, and how it is learnt."""
 
     env: EnvCfg

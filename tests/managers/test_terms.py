@@ -40,6 +40,11 @@ def terms():
 # Terms
 
 
+def test_a_mistyped_field_of_a_term_is_named_with_the_nearest_match(terms):
+    with pytest.raises(UserError, match="RewardTerm field 'wieght' does not exist; did you mean 'weight'"):
+        terms.alive.wieght = 2.0
+
+
 def test_terms_are_read_and_changed_by_name_and_keep_their_order(terms):
     terms.alive.weight = 0.2
     assert terms.alive.weight == 0.2

@@ -21,7 +21,7 @@ EVERYWHERE = torch.tensor([True])
 
 @pytest.fixture(scope="module")
 def hang(make_env):
-    """hang(rotation, spin, scale=...): the wrench [body, force and torque] on a robot whose torso leans and turns so."""
+    """hang(rotation, spin, scale=...): the wrench [body, force and torque] on a robot whose torso leans and spins."""
 
     def make(torso=None, spin=(0.0, 0.0, 0.0), **params):
         wrench = torch.zeros(1, 3, 6, dtype=torch.float64)

@@ -37,13 +37,14 @@ def leaves(value: Any, path: str = "") -> dict[str, Any]:
     return {path: value}
 
 
+def same(a: Any, b: Any) -> bool:
+    return torch.equal(a, b) if isinstance(a, torch.Tensor) else bool(a == b)
+
+
 def assert_same(first: Path, second: Path, but: tuple[str, ...] = ("/total_time",)) -> None:
     a, b = leaves(checkpoint.load(first)), leaves(checkpoint.load(second))
     assert a.keys() == b.keys()
-    differing = [
-        path for path in a if path not in but and not torch.equal(torch.as_tensor(a[path]), torch.as_tensor(b[path]))
-    ]
-    assert differing == []
+    assert [path for path in a if path not in but and not same(a[path], b[path])] == []
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:

@@ -10,13 +10,14 @@ from rich.table import Table
 from torch import Tensor
 
 from humoslope.errors import UserError
+from humoslope.strict import Strict
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
 @dataclass
-class JointPositionAction:
+class JointPositionAction(Strict):
     """Target of every joint: default pose + `scale_factor` x the robot's action scale x action.
 
     Actions are not clipped: with the gains of a low-impedance drive, peak torque needs actions of 3 and more.

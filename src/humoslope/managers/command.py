@@ -11,13 +11,14 @@ from rich.table import Table
 from torch import Tensor
 
 from humoslope.errors import UserError
+from humoslope.strict import Strict
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
 @dataclass
-class VelocityCommand:
+class VelocityCommand(Strict):
     """Speed along the ground in the heading frame, and yaw rate.
 
     Attributes:

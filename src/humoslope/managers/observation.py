@@ -11,7 +11,8 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.errors import UserError
-from humoslope.managers.terms import StatefulTerms, Term, Terms, bind
+from humoslope.managers.terms import StatefulTerms, Term, Terms, bind, first_value
+from humoslope.strict import Strict
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -31,7 +32,7 @@ class ObservationTerm(Term):
 
 
 @dataclass
-class ObservationGroup:
+class ObservationGroup(Strict):
     """Terms concatenated into one vector.
 
     Attributes:
@@ -88,7 +89,7 @@ class _Group:
         self._calls = {n: self.stateful.keep(bind("observation", n, t, env)) for n, t in cfg.terms.items()}
         self.widths: dict[str, int] = {}
         for term, call in self._calls.items():
-            shape = tuple(call(env).shape)
+            shape = tuple(first_value("observation", f"{name}.{term}", call, env).shape)
             if len(shape) != 2 or shape[0] != env.num_envs:
                 raise UserError(f"observation '{name}.{term}' returned shape {shape}; it must be ({env.num_envs}, d).")
             self.widths[term] = shape[1]

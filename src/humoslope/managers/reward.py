@@ -10,7 +10,7 @@ from rich.table import Table
 from torch import Tensor
 
 from humoslope.errors import UserError
-from humoslope.managers.terms import StatefulTerms, Term, Terms, bind
+from humoslope.managers.terms import StatefulTerms, Term, Terms, bind, first_value
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -38,11 +38,13 @@ class RewardManager:
         self._sums = torch.zeros(env.num_envs, len(terms), device=env.device)  # [N, T] over the episode
         self._seconds = env.zeros()  # [N] they are over
         for name, call in zip(self.names, self._calls, strict=True):
-            shape = tuple(call(env).shape)
+            shape = tuple(first_value("reward", name, call, env).shape)
             if shape != (env.num_envs,):
                 raise UserError(
                     f"reward '{name}' returned shape {shape}; it must be ({env.num_envs},), one value per world."
                 )
+        # Finding the shapes was no step of anyone's episode.
+        self._stateful.reset(torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
 
     def compute(self, dt: float) -> Tensor:
         """The reward [N] of a step of `dt` seconds."""

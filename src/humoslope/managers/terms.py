@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from torch import Tensor
 
 from humoslope.errors import UserError, unknown
+from humoslope.strict import Strict
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -55,7 +56,7 @@ class Terms(Generic[T]):
 
 
 @dataclass
-class Term:
+class Term(Strict):
     """A function or `StatefulTerm` class, and its parameters beyond the environment."""
 
     func: Callable[..., Any]
@@ -90,6 +91,19 @@ def bind(kind: str, name: str, term: Term, env: Env, implicit: tuple[str, ...] =
     make: Callable[..., Any] = term.func
     instance: Callable[..., Any] = make(env, **term.params)
     return instance
+
+
+def first_value(kind: str, name: str, call: Callable[..., Any], env: Env) -> Tensor:
+    """What a bound term gives when it is called for the first time.
+
+    Raises:
+        UserError: What the term found wrong, with its name.
+    """
+    try:
+        value: Tensor = call(env)
+    except UserError as error:
+        raise UserError(f"{kind} '{name}': {error}") from None
+    return value
 
 
 def _check_params(where: str, func: Callable[..., Any], params: Mapping[str, Any], implicit: tuple[str, ...]) -> None:

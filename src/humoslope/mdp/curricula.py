@@ -49,7 +49,7 @@ class TerrainLevels(StatefulTerm):
         if self._harness is not None:
             open_levels = ((1.0 - self._harness.scale) * tiles.num_levels).floor().to(torch.int64)
             level = torch.minimum(level, open_levels)
-        tiles.set_level(level.clamp(max=tiles.num_levels - 1))
+        tiles.set_level(torch.where(mask, level.clamp(max=tiles.num_levels - 1), tiles.level))
         return tiles.level
 
     def reset(self, mask: Tensor) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import torch
 
 from humoslope.errors import UserError, unknown
+from humoslope.strict import Strict
 
 if TYPE_CHECKING:
     from humoslope.registry import TaskCfg
@@ -20,7 +21,7 @@ Preset = Literal["auto", "cpu", "gpu"]
 
 
 @dataclass
-class AgentCfg:
+class AgentCfg(Strict):
     """PPO and its networks; defaults are Unitree RL Lab's where no other source is named.
 
     Attributes:

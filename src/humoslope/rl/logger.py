@@ -37,9 +37,11 @@ class TrainingLogger(Logger):
         self, env: ManagerBasedRlEnv, console: Console, after_log: Callable[[dict[str, float]], None], **kwargs: Any
     ) -> None:
         super().__init__(**kwargs)
-        self.git_status_repos: list[str] = []  # the run folder says it already
         self._env, self._console, self._after_log = env, console, after_log
         self._started = time.monotonic()
+
+    def _store_code_state(self) -> list[str]:
+        return []  # the run folder tells it already
 
     def process_env_step(
         self, rewards: Tensor, dones: Tensor, extras: dict[str, Any], intrinsic_rewards: Tensor | None = None
