@@ -55,5 +55,5 @@ format: $(STAMP) ## Put code into its format
 	$(BIN)/ruff format .
 
 clean: ## Remove caches and build leftovers; .venv and logs stay
-	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage build src/*.egg-info
+	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage MUJOCO_LOG.TXT build src/*.egg-info
 	find src robots terrains tasks tests -name __pycache__ -type d -exec rm -rf {} +

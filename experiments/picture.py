@@ -1,6 +1,6 @@
 """Draws a policy walking up a ramp, as one picture with the robot at several instants. The README's picture is made by
 
-    .venv/bin/python experiments/picture.py experiments/checkpoints/stage1.pt experiments/figures/stage1_ramp.png
+.venv/bin/python experiments/picture.py experiments/checkpoints/stage1.pt experiments/figures/stage1_ramp.png
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ def render(env: ManagerBasedRlEnv, poses: np.ndarray) -> np.ndarray:
     spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=[0.4, 0.6, -1.0], diffuse=[0.6] * 3)
     for i in range(1, len(poses)):
         spec.attach(env.robot.make_spec(), prefix=f"{i}/", frame=spec.worldbody.add_frame())
-    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT)
+    sky = spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    )
     sky.rgb1, sky.rgb2, sky.width, sky.height = [0.75, 0.85, 0.95], [1, 1, 1], 64, 384
     model = spec.compile()
     model.geom("terrain").rgba = [0.55, 0.62, 0.5, 1.0]

@@ -64,8 +64,8 @@ def base_rewards() -> Terms[RewardTerm]:
     """Unitree RL Lab's list with these changes: velocity and height refer to the ground; the pelvis may lean with
     the slope; instead of a gait clock that the policy cannot see, time on one leg is rewarded; a fall costs."""
     return Terms(
-        track_velocity=RewardTerm(rewards.track_slope_velocity_exp, {"std": 0.5}, weight=2.0),
-        track_yaw_rate=RewardTerm(rewards.track_yaw_rate_exp, {"std": 0.5}, weight=1.0),
+        track_velocity=RewardTerm(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
+        track_yaw_rate=RewardTerm(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=1.0),
         alive=RewardTerm(rewards.alive, weight=0.15),
         fall=RewardTerm(rewards.fall, weight=-100.0),
         slope_normal_velocity=RewardTerm(rewards.slope_normal_velocity_l2, weight=-1.0),

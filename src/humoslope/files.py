@@ -7,6 +7,8 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from humoslope.errors import UserError
+
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Lets `write` fill a temporary file beside `path`, then puts it in place in one step."""
@@ -23,6 +25,19 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def check_place(path: Path) -> None:
+    """Says before the work, and not after it, that a file cannot be written; makes nothing.
+
+    Raises:
+        UserError: If `path` is a folder, or its folder neither can be made nor written to.
+    """
+    if path.is_dir():
+        raise UserError(f"'{path}' is a folder; name a file in it.")
+    existing = next(p for p in path.absolute().parents if p.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK):
+        raise UserError(f"cannot write '{path}': '{existing}' is no folder one can write to.")
 
 
 def write_text(path: Path, text: str) -> None:

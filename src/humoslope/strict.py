@@ -9,7 +9,8 @@ from humoslope.errors import unknown
 
 
 class Strict:
-    """Base of configuration dataclasses: assigning to a field that does not exist is an error, with the nearest match."""
+    """Base of configuration dataclasses:
+    assigning to a field that does not exist is an error, with the nearest match."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         names = [field.name for field in fields(self)]  # type: ignore[arg-type]

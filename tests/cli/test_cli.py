@@ -64,6 +64,7 @@ def test_a_user_sees_one_sentence_and_exit_code_2(folder):
         (["terrain", "ramp-upp"], "did you mean 'ramp-up'?"),
         (["bench", "HumoSlope-Stage1-Unitree-G2"], f"did you mean '{TASK}'?"),
         (["bench", TASK, "--sizes", "0"], "sizes and rounds must be at least 1"),
+        (["bench", TASK, "--out", "."], "'.' is a folder; name a file in it"),
         (["bench", TASK, "--checkpoint", "none.pt"], "'none.pt' does not exist"),
     ],
 )
@@ -97,6 +98,7 @@ def test_a_value_of_the_wrong_kind_is_a_short_message_and_exit_code_2(capsys, fo
     [
         (["--env.num-envs", "0"], "num_envs 0 must be at least 1"),
         (["--env.num-envs", "-3"], "num_envs -3 must be at least 1"),
+        (["--env.seed", "-1"], "seed -1 must be at least 0"),
         (["--env.sim.timestep", "nan"], "timestep must be positive"),
         (["--env.sim.decimation", "0"], "decimation at least 1"),
         (["--env.sim.device", "cuda"], "torch finds no CUDA here"),
@@ -149,12 +151,19 @@ def test_a_run_does_not_resume_from_what_is_not_its_checkpoint(mistake, folder, 
     assert content(folder) == before
 
 
-@pytest.mark.parametrize("file", ["config.json", "model_3.pt", "console.log"])
-def test_a_new_run_does_not_write_over_an_old_one(mistake, folder, file):
+@pytest.mark.parametrize(
+    ("file", "said"),
+    [
+        ("model_3.pt", "holds a run already; resume it with --resume run"),
+        ("config.json", "holds a run that left no checkpoint"),
+        ("console.log", "holds a run that left no checkpoint"),
+    ],
+)
+def test_a_new_run_does_not_write_over_an_old_one(mistake, folder, file, said):
     (folder / "run").mkdir()
     (folder / "run" / file).write_text("mine")
     before = content(folder)
-    assert "holds a run already; resume it with --resume run" in mistake("train", TASK, *SMALL, "--run-dir", "run")
+    assert said in mistake("train", TASK, *SMALL, "--run-dir", "run")
     assert content(folder) == before
 
 
@@ -176,5 +185,7 @@ def test_help_lists_every_task_and_every_field(capsys):
         main(["train", TASK, "--help"])
     assert stop.value.code == 0
     said = capsys.readouterr().out
+    assert "A run folder, or" in said
+    assert "Speed error at which the reward has fallen to 1/e" in said.replace("│", " ").replace("\n", " ")
     for option in ("--resume", "--env.rewards.alive.weight", "--agent.learning-rate", "--env.scene.terrain.levels"):
         assert option in said

@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import platform
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -19,13 +20,13 @@ from rich.table import Table
 
 import humoslope
 from humoslope.errors import UserError
-from humoslope.files import write_text
+from humoslope.files import check_place, write_text
 from humoslope.registry import build_task, load_content
 from humoslope.rl import checkpoint as checkpoints
 from humoslope.rl.benchmark import RANDOM_STD, Measurement, measure
 from humoslope.rl.config import Preset, resolve_preset
 
-TARGETS = "Targets with the cpu preset: env.step 80 %, PPO 45 % of raw at 512 worlds; less than 2,048 MiB at 4096."
+TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 worlds; below 2,048 MiB at 4096."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,11 +61,11 @@ def run(arguments: list[str]) -> None:
         raise UserError("sizes and rounds must be at least 1.")
     if options.checkpoint is not None:
         checkpoints.load(options.checkpoint)
-    if options.out is not None and options.out.is_dir():
-        raise UserError(f"--out '{options.out}' is a folder; name a file in it.")
+    if options.out is not None:
+        check_place(options.out)
 
     preset = resolve_preset(options.preset)
-    console = Console()
+    console = Console(width=None if sys.stdout.isatty() else 100)
     driver = f"the actor of {options.checkpoint}" if options.checkpoint else f"random actions of std {RANDOM_STD:g}"
     load = os.getloadavg()[0]
     console.print(
@@ -93,11 +94,13 @@ def _measure_apart(options: Options, preset: Literal["cpu", "gpu"], worlds: int)
 
 def speed_table(results: list[Measurement]) -> Table:
     """A row for each number of worlds."""
-    table = Table(title="Control steps of all worlds per second", caption=TARGETS)
-    for column in ("worlds", "raw", "env.step", "of raw", "PPO", "of raw", "collect ms", "learn ms", "MiB", "cost"):
-        table.add_column(column, justify="right")
     reference = next((r for r in results if r.worlds == 256), results[0])
-    table.columns[-1].header = f"cost of a step / {reference.worlds}"
+    caption = (
+        f"collect, learn: ms of a PPO iteration. cost: of one world's env.step, relative to {reference.worlds} worlds."
+    )
+    table = Table(title="Control steps of all worlds per second", caption=f"{caption}\n{TARGETS}")
+    for column in ("worlds", "raw", "env.step", "of raw", "PPO", "of raw", "collect", "learn", "MiB", "cost"):
+        table.add_column(column, justify="right")
     for r in results:
         table.add_row(
             str(r.worlds),

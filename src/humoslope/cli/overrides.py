@@ -32,12 +32,12 @@ def mirror_type(name: str, value: Any, helps: dict[str, str] | None = None) -> t
     values: dict[str, Any] = {}
     hints = _hints(value)
     described_by: Any = type(value)
-    helps = _documented(described_by, "Attributes") if helps is None else helps
+    helps = documented(described_by, "Attributes") if helps is None else helps
     for key, child in _children(value).items():
         kind, default = hints.get(key, _annotation(child)), child
         if kind is None:
             of_term = isinstance(value, Term) and key == "params"
-            nested = mirror_type(f"{name}_{key}", child, _documented(value.func, "Args") if of_term else None)
+            nested = mirror_type(f"{name}_{key}", child, documented(value.func, "Args") if of_term else None)
             if nested is None:
                 continue
             kind, default = nested
@@ -138,7 +138,7 @@ def _hints(value: Any) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=1024)
-def _documented(thing: Any, section: str) -> dict[str, str]:
+def documented(thing: Any, section: str) -> dict[str, str]:
     """What a docstring says of each name in its section "Attributes" or "Args"."""
     _, _, entries = inspect.cleandoc(thing.__doc__ or "").partition(f"{section}:\n")
     found = re.finditer(r"^    ([\w, ]+): (.*(?:\n {8}.*)*)", entries, re.MULTILINE)

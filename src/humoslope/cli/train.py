@@ -13,9 +13,10 @@ import torch
 import tyro
 from rich.console import Console
 
-from humoslope.cli.overrides import merge_options, mirror_type, option_names, write_back
+from humoslope.cli.overrides import documented, merge_options, mirror_type, option_names, write_back
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError, unknown
+from humoslope.files import check_place
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
 from humoslope.rl import checkpoint
 from humoslope.rl.config import Preset, apply_preset, resolve_preset
@@ -71,7 +72,8 @@ def parse(task: str, options: list[str]) -> tuple[TaskCfg, TrainArgs]:
     preset = resolve_preset(_train_args(task, options).preset)
     cfg = build_task(task)
     apply_preset(cfg, preset)
-    mirrored = mirror_type("Options", {**vars(TrainArgs()), "env": cfg.env, "agent": cfg.agent})
+    fields = {**vars(TrainArgs()), "env": cfg.env, "agent": cfg.agent}
+    mirrored = mirror_type("Options", fields, documented(TrainArgs, "Attributes"))
     assert mirrored is not None
     kind, default = mirrored
     found: Any = tyro.cli(
@@ -79,7 +81,7 @@ def parse(task: str, options: list[str]) -> tuple[TaskCfg, TrainArgs]:
         args=options,
         default=default,
         prog=f"humoslope train {task}",
-        description=TrainArgs.__doc__ or "",
+        description="Trains a task, or goes on with a run. Every field of the task's configuration is an option.",
         return_unknown_args=True,
     )
     parsed, strange = found
@@ -136,13 +138,13 @@ def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, optio
 
 def _check_new(run_dir: Path) -> None:
     """Raises UserError unless a new run can be put there."""
-    if any((run_dir / name).exists() for name in ("config.json", "console.log")) or any(run_dir.glob("model_*.pt")):
+    if any(run_dir.glob("model_*.pt")):
         raise UserError(
             f"run folder '{run_dir}' holds a run already; resume it with --resume {run_dir}, or choose another."
         )
-    existing = next(p for p in (run_dir, *run_dir.absolute().parents) if p.exists())
-    if not existing.is_dir() or not os.access(existing, os.W_OK):
-        raise UserError(f"run folder '{run_dir}' cannot be made: '{existing}' is no folder one can write to.")
+    if any((run_dir / name).exists() for name in ("config.json", "console.log")):
+        raise UserError(f"run folder '{run_dir}' holds a run that left no checkpoint; remove it, or choose another.")
+    check_place(run_dir / "config.json")
 
 
 def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Path) -> None:

@@ -54,7 +54,7 @@ class AgentCfg(Strict):
     lam: float = 0.95
     clip_param: float = 0.2
     value_loss_coef: float = 1.0
-    entropy_coef: float = 0.006
+    entropy_coef: float = 0.003
     max_grad_norm: float = 1.0
     logger: Literal["tensorboard", "wandb"] = "tensorboard"
     wandb_project: str = "humoslope"

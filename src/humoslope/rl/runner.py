@@ -179,7 +179,13 @@ class Runner(OnPolicyRunner):
 
 
 def seed_everything(seed: int) -> None:
-    """Seeds Python, NumPy and torch."""
+    """Seeds Python, NumPy and torch.
+
+    Raises:
+        UserError: If NumPy cannot take it.
+    """
+    if not 0 <= seed < 2**32:
+        raise UserError(f"seed {seed} must be at least 0 and below 2^32.")
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002 - libraries draw from the global generator
     torch.manual_seed(seed)

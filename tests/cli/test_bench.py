@@ -1,0 +1,50 @@
+"""The benchmark's table and file say what was measured."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from humoslope.cli import bench, main
+from humoslope.rl.benchmark import Measurement
+
+TASK = "HumoSlope-Stage1-Unitree-G1"
+
+
+def measured(options: bench.Options, preset: str, worlds: int) -> Measurement:
+    """A machine that steps 1,000 times a second for each world: env.step takes twice and PPO four times as long."""
+    raw = 1000.0 * worlds
+    return Measurement(
+        worlds=worlds,
+        raw=[raw] * 3,
+        env=[raw / 2, raw / 2, raw / 10],
+        ppo=[raw / 4] * 3,
+        collection_s=[0.1] * 3,
+        learning_s=[0.05] * 3,
+        peak_mib=500.0 + worlds,
+        parts={"physics": 0.75, "rest": 0.25},
+    )
+
+
+@pytest.fixture(autouse=True)
+def machine(monkeypatch):
+    monkeypatch.setattr(bench, "_measure_apart", measured)
+
+
+def test_the_table_shows_medians_shares_memory_and_relative_cost(capsys):
+    assert main(["bench", TASK, "--sizes", "512", "256"]) == 0
+    rows = [line.replace("│", " ").split() for line in capsys.readouterr().out.splitlines()]
+    assert ["256", "256,000", "128,000", "50%", "64,000", "25%", "100", "50", "756", "1.00"] in rows
+    assert ["512", "512,000", "256,000", "50%", "128,000", "25%", "100", "50", "1,012", "0.50"] in rows
+    assert ["physics", "75.0%"] in rows
+
+
+def test_the_file_holds_every_round(tmp_path, capsys):
+    out = tmp_path / "new" / "bench.json"
+    assert main(["bench", TASK, "--sizes", "8", "--preset", "cpu", "--out", str(out)]) == 0
+    report = json.loads(out.read_text())
+    assert report["task"] == TASK
+    assert report["preset"] == "cpu"
+    assert report["sizes"][0]["env"] == [4000.0, 4000.0, 800.0]
+    assert list(out.parent.iterdir()) == [out]
