@@ -1,7 +1,5 @@
-"""One file per registered task; every module here is imported, so that a new file is enough."""
+"""One file per registered task; a new file is registered by being here."""
 
-from importlib import import_module
-from pkgutil import iter_modules
+from humoslope.plugins import import_all
 
-for _module in iter_modules(__path__):
-    import_module(f"{__name__}.{_module.name}")
+import_all(__name__, __path__)
