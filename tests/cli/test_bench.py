@@ -12,7 +12,7 @@ from humoslope.rl.benchmark import Measurement
 TASK = "HumoSlope-Stage1-Unitree-G1"
 
 
-def measured(options: bench.Options, preset: str, worlds: int) -> Measurement:
+def measured(task: str, typed: list[str], worlds: int) -> Measurement:
     """A machine that steps 1,000 times a second for each world: env.step takes twice and PPO four times as long."""
     raw = 1000.0 * worlds
     return Measurement(

@@ -5,14 +5,15 @@ from __future__ import annotations
 import pytest
 import torch
 
-from humoslope.cli.train import parse
+from humoslope.cli.options import parse
+from humoslope.cli.train import TrainArgs
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.rl import benchmark
 
 
 @pytest.fixture(scope="module")
 def env(task, tiny):
-    return ManagerBasedRlEnv(parse(task, tiny)[0].env)
+    return ManagerBasedRlEnv(parse(TrainArgs(), task, tiny)[0].env)
 
 
 def act(env: ManagerBasedRlEnv):
@@ -49,7 +50,7 @@ def test_the_parts_of_a_step_are_shares_of_it(env):
 
 def test_a_measurement_has_a_value_for_each_round(task, monkeypatch):
     monkeypatch.setattr(benchmark, "BLOCK", 2)
-    result = benchmark.measure(task, worlds=4, rounds=2, preset="cpu")
+    result = benchmark.measure(task, parse(TrainArgs(), task, ["--preset", "cpu", "--env.num-envs", "4"])[0], rounds=2)
     for values in (result.raw, result.env, result.ppo, result.collection_s, result.learning_s):
         assert len(values) == 2
         assert min(values) > 0.0

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from humoslope.cli.options import parse
 from humoslope.cli.overrides import merge_options, mirror_type, option_names
-from humoslope.cli.train import parse
+from humoslope.cli.train import TrainArgs
 from humoslope.errors import UserError
 from humoslope.registry import all_tasks, build_task
 from humoslope.rl.config import AgentCfg, apply_preset
@@ -69,15 +70,19 @@ def test_an_unknown_preset_is_refused_with_those_there_are(task):
 )
 def test_one_option_changes_one_field_however_deep(task, options, path, value):
     preset = ["--preset", "cpu"] if "--preset" not in options else options[:2]
-    before = flat(plain(parse(task, preset)[0]))
-    after = flat(plain(parse(task, [*preset, *options])[0]))
+    before = flat(plain(parse(TrainArgs(), task, preset)[0]))
+    after = flat(plain(parse(TrainArgs(), task, [*preset, *options])[0]))
     assert after[path] == value
     assert {key for key in after if after[key] != before[key]} == {path}
 
 
 def test_the_task_itself_is_not_changed_by_options(task):
     before = plain(build_task(task))
-    parse(task, ["--preset", "cpu", "--env.rewards.alive.weight", "7", "--env.scene.terrain.columns.flat", "1"])
+    parse(
+        TrainArgs(),
+        task,
+        ["--preset", "cpu", "--env.rewards.alive.weight", "7", "--env.scene.terrain.columns.flat", "1"],
+    )
     assert plain(build_task(task)) == before
 
 

@@ -17,7 +17,8 @@ import torch
 from rich.console import Console
 
 from humoslope.cli import main
-from humoslope.cli.train import parse
+from humoslope.cli.options import parse
+from humoslope.cli.train import TrainArgs
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.curve import read_curves
@@ -157,7 +158,7 @@ def test_a_signal_ends_a_run_after_its_iteration_with_a_checkpoint(train, task, 
 
 
 def make_runner(task: str, tiny: list[str], *options: str) -> Runner:
-    cfg, _ = parse(task, [*tiny, *options])
+    cfg, _ = parse(TrainArgs(), task, [*tiny, *options])
     seed_everything(cfg.env.seed)
     return Runner(task, ManagerBasedRlEnv(cfg.env), cfg.agent, None, Console(quiet=True))
 

@@ -12,19 +12,19 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from statistics import median
-from typing import Any, Literal
+from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 import humoslope
+from humoslope.cli.options import parse
 from humoslope.errors import UserError
 from humoslope.files import check_place, write_text
-from humoslope.registry import build_task, load_content
+from humoslope.registry import all_tasks, load_content
 from humoslope.rl import checkpoint as checkpoints
 from humoslope.rl.benchmark import RANDOM_STD, Measurement, measure
-from humoslope.rl.config import Preset, resolve_preset
+from humoslope.rl.config import Preset
 
 TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 worlds; below 2,048 MiB at 4096."
 
@@ -35,7 +35,6 @@ class Options:
     second; the bare physics is given the states and controls that env.step went through.
 
     Attributes:
-        task: Name of a registered task.
         sizes: Numbers of worlds. Each is measured in a process of its own, so that its peak memory is its own.
         rounds: How often each of the three is measured; medians are shown.
         preset: Scale of everything but the number of worlds; "auto" for what the machine has.
@@ -44,52 +43,60 @@ class Options:
         out: Where the figures are written as JSON; by default nowhere.
     """
 
-    task: tyro.conf.Positional[str]
     sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)
     rounds: int = 5
     preset: Preset = "auto"
-    checkpoint: Path | None = None
-    out: Path | None = None
+    checkpoint: str = ""
+    out: str = ""
 
 
 def run(arguments: list[str]) -> None:
     """Measures the task named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope bench")
     load_content()
-    build_task(options.task)
+    if not arguments or arguments[0].startswith("-"):
+        raise UserError(f"bench needs a task: {', '.join(all_tasks())}.")
+    task, typed = arguments[0], arguments[1:]
+    _, options = parse(Options(), task, typed, "bench")
     if not options.sizes or min(options.sizes) < 1 or options.rounds < 1:
         raise UserError("sizes and rounds must be at least 1.")
-    if options.checkpoint is not None:
-        checkpoints.load(options.checkpoint)
-    if options.out is not None:
-        check_place(options.out)
+    if options.checkpoint:
+        checkpoints.load(Path(options.checkpoint))
+    if options.out:
+        check_place(Path(options.out))
 
-    preset = resolve_preset(options.preset)
     console = Console(width=None if sys.stdout.isatty() else 100)
     driver = f"the actor of {options.checkpoint}" if options.checkpoint else f"random actions of std {RANDOM_STD:g}"
     load = os.getloadavg()[0]
     console.print(
-        f"{options.task}, preset {preset}, driven by {driver}; {os.cpu_count()} cores, load {load:.1f} before.",
+        f"{task}, preset {options.preset}, driven by {driver}; {os.cpu_count()} cores, load {load:.1f} before.",
         soft_wrap=True,
         highlight=False,
     )
     results = []
     for size in sorted(options.sizes):
-        results.append(_measure_apart(options, preset, size))
+        results.append(_measure_apart(task, typed, size))
         console.print(f"  {size} worlds: {median(results[-1].env):,.0f} steps/s", highlight=False)
     console.print(speed_table(results), parts_table(results))
-    if options.out is not None:
-        write_text(options.out, json.dumps(_report(options, preset, driver, load, results), indent=2) + "\n")
+    if options.out:
+        report = _report(task, typed, options, driver, load, results)
+        write_text(Path(options.out), json.dumps(report, indent=2) + "\n")
         console.print(f"wrote {options.out}", soft_wrap=True)
 
 
-def _measure_apart(options: Options, preset: Literal["cpu", "gpu"], worlds: int) -> Measurement:
+def _measure_apart(task: str, typed: list[str], worlds: int) -> Measurement:
     # A fresh interpreter: a forked one would start with this one's memory.
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
-            return pool.submit(measure, options.task, worlds, options.rounds, preset, options.checkpoint).result()
+            return pool.submit(_measure, task, typed, worlds).result()
         except BrokenProcessPool:
             raise UserError(f"the process with {worlds} worlds was killed; probably memory ran out.") from None
+
+
+def _measure(task: str, typed: list[str], worlds: int) -> Measurement:
+    load_content()
+    cfg, options = parse(Options(), task, typed, "bench")
+    cfg.env.num_envs = worlds
+    return measure(task, cfg, options.rounds, Path(options.checkpoint) if options.checkpoint else None)
 
 
 def speed_table(results: list[Measurement]) -> Table:
@@ -130,13 +137,16 @@ def _share(some: list[float], whole: list[float]) -> float:
     return median(a / b for a, b in zip(some, whole, strict=True))
 
 
-def _report(options: Options, preset: str, driver: str, load: float, results: list[Measurement]) -> dict[str, Any]:
+def _report(
+    task: str, typed: list[str], options: Options, driver: str, load: float, results: list[Measurement]
+) -> dict[str, Any]:
     return {
         "what": "bench",
         "version": humoslope.__version__,
-        "task": options.task,
+        "task": task,
+        "options": typed,
         "driver": driver,
-        "preset": preset,
+        "preset": options.preset,
         "machine": {"platform": platform.platform(), "cores": os.cpu_count(), "load_before": load},
         "unit": "control steps of all worlds per second; one value for each round",
         "sizes": [dataclasses.asdict(r) for r in results],

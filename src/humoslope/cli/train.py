@@ -7,19 +7,18 @@ import os
 import shlex
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import torch
-import tyro
 from rich.console import Console
 
-from humoslope.cli.overrides import documented, merge_options, mirror_type, option_names, write_back
+from humoslope.cli.options import early, parse
+from humoslope.cli.overrides import merge_options
 from humoslope.env import ManagerBasedRlEnv
-from humoslope.errors import UserError, unknown
+from humoslope.errors import UserError
 from humoslope.files import check_place
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
 from humoslope.rl import checkpoint
-from humoslope.rl.config import Preset, apply_preset, resolve_preset
+from humoslope.rl.config import Preset
 from humoslope.rl.rundir import describe_run, find_run, tee
 from humoslope.rl.runner import Runner, seed_everything
 
@@ -53,53 +52,14 @@ def run(arguments: list[str]) -> None:
     task, options = arguments[0], arguments[1:]
     build_task(task)  # a typing mistake in the name is said before anything else
 
-    which = _train_args(task, options).resume
+    which = early(TrainArgs(), task, options).resume
     resumed = find_run(task, which) if which else None
     if resumed is not None:
         options = merge_options(_saved_options(resumed), options)
-    cfg, args = parse(task, options)
+    cfg, args = parse(TrainArgs(), task, options)
     # A resumed run keeps its scale on any machine.
     kept = merge_options(options, ["--preset", args.preset], without=("--resume", "--run-dir", "--init"))
     _train(task, cfg, args, resumed, kept)
-
-
-def parse(task: str, options: list[str]) -> tuple[TaskCfg, TrainArgs]:
-    """The task's configuration with preset and overrides applied, and the other options.
-
-    Raises:
-        UserError: If an option does not exist.
-    """
-    preset = resolve_preset(_train_args(task, options).preset)
-    cfg = build_task(task)
-    apply_preset(cfg, preset)
-    fields = {**vars(TrainArgs()), "env": cfg.env, "agent": cfg.agent}
-    mirrored = mirror_type("Options", fields, documented(TrainArgs, "Attributes"))
-    assert mirrored is not None
-    kind, default = mirrored
-    found: Any = tyro.cli(
-        kind,
-        args=options,
-        default=default,
-        prog=f"humoslope train {task}",
-        description="Trains a task, or goes on with a run. Every field of the task's configuration is an option.",
-        return_unknown_args=True,
-    )
-    parsed, strange = found
-    if strange and strange[0].startswith("-"):
-        raise unknown("option", strange[0].partition("=")[0], option_names(default))
-    if strange:
-        raise UserError(f"'{strange[0]}' follows no option; options look like --env.num-envs 64.")
-    write_back(cfg.env, parsed.env)
-    write_back(cfg.agent, parsed.agent)
-    args = TrainArgs(**{f.name: getattr(parsed, f.name) for f in dataclasses.fields(TrainArgs)})
-    return cfg, dataclasses.replace(args, preset=preset)
-
-
-def _train_args(task: str, options: list[str]) -> TrainArgs:
-    """What has to be known before the other options can be read."""
-    quiet = [option for option in options if option not in ("-h", "--help")]
-    args, _ = tyro.cli(TrainArgs, args=quiet, prog=f"humoslope train {task}", return_unknown_args=True)
-    return args
 
 
 def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, options: list[str]) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from rich.console import Console
@@ -17,8 +17,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import ManagerBasedRlEnv
-from humoslope.registry import build_task, load_content
-from humoslope.rl.config import apply_preset
+from humoslope.registry import TaskCfg
 from humoslope.rl.policy import load_actor
 from humoslope.rl.runner import Runner, seed_everything
 
@@ -64,24 +63,18 @@ class Measurement:
     parts: dict[str, float]
 
 
-def measure(
-    task: str, worlds: int, rounds: int, preset: Literal["cpu", "gpu"], checkpoint: Path | None = None
-) -> Measurement:
+def measure(task: str, cfg: TaskCfg, rounds: int, checkpoint: Path | None = None) -> Measurement:
     """Measures a task in this process, in rounds of each of the three.
 
     Args:
-        worlds: Number of worlds.
+        task: Its name.
+        cfg: Its configuration.
         rounds: How often each of the three is measured.
-        preset: Scale of everything but the number of worlds.
         checkpoint: A trained actor that drives the robots; None for random actions.
 
     Raises:
-        UserError: If the task does not exist, or the checkpoint does not fit it.
+        UserError: If the checkpoint does not fit the task.
     """
-    load_content()
-    cfg = build_task(task)
-    apply_preset(cfg, preset)
-    cfg.env.num_envs = worlds
     seed_everything(cfg.env.seed)
     env = ManagerBasedRlEnv(cfg.env)
     runner = _TimedRunner(task, env, cfg.agent, None, Console(quiet=True))
@@ -101,6 +94,7 @@ def measure(
     with torch.inference_mode():
         parts = _parts(env, act)
     collection, learning = zip(*runner.times, strict=True)
+    worlds = cfg.env.num_envs
     rollout = worlds * cfg.agent.num_steps_per_env
     return Measurement(
         worlds=worlds,

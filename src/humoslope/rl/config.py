@@ -136,14 +136,14 @@ def apply_preset(cfg: TaskCfg, preset: Literal["cpu", "gpu"]) -> None:
         cfg.env.num_envs = 4096
     elif preset == "cpu":
         cfg.env.num_envs = 512
-        # Evaluation stays at 5 ms; policies trained at 10 ms fall no more often there.
+        # Evaluation stays at 5 ms.
         cfg.env.sim.timestep, cfg.env.sim.decimation = 0.01, 2
-        # `make bench` measures 1.6 times the speed of the elliptic cone. Along a ramp's axes both hold alike;
-        # between them the pyramid holds less, so that training is the harder of the two.
+        # Faster than the elliptic cone; `make bench ARGS="--env.sim.cone elliptic"` tells by how much. Along a ramp's
+        # axes both hold alike; between them the pyramid holds less, so that training is the harder of the two.
         cfg.env.sim.cone = "pyramidal"
         cfg.agent.hidden_dims = (256, 128, 128)
         cfg.agent.num_learning_epochs = 3
-        # Only where the CPU multiplies in bfloat16 itself: 2.7 times the speed there, slower elsewhere.
+        # Only where the CPU multiplies in bfloat16 itself. `make bench ARGS="--agent.no-mixed-precision"` compares.
         cfg.agent.mixed_precision = bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
     else:
         raise unknown("preset", preset, ("cpu", "gpu"))
