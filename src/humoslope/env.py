@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -41,9 +40,7 @@ from humoslope.sim import make_simulation
 from humoslope.strict import Strict
 from humoslope.terrain.grid import TerrainGrid, TileRow
 from humoslope.terrain.queries import TerrainQueries
-
-STATES_KEPT = 10
-"""Control steps of state kept for the report on a diverged world."""
+from humoslope.wreck import WreckRecorder
 
 
 @dataclass
@@ -133,9 +130,7 @@ class ManagerBasedRlEnv:
         ranges = [self.sim.model.joint(name).range for name in self.robot.joint_names]
         self.joint_range = torch.tensor(np.array(ranges), dtype=torch.float32, device=self.device)  # [J, 2] rad
         self._qpos, self._qvel = self.sim.state("qpos"), self.sim.state("qvel")
-        self._history: deque[Tensor] = deque(maxlen=STATES_KEPT)
-        self._wreck = torch.zeros(STATES_KEPT, self._qpos.shape[1] + self._qvel.shape[1], device=self.device)
-        self._wrecked = torch.zeros((), dtype=torch.bool, device=self.device)
+        self._wreck = WreckRecorder(self._qpos, self._qvel)
         self.diverged = self.zeros(dtype=torch.bool)  # [N] in the last step
 
         self.commands = CommandManager(self, cfg.command)
@@ -161,14 +156,16 @@ class ManagerBasedRlEnv:
         """
         self.actions.process(action)
         self.sim.step(self.cfg.sim.decimation)
-        self.signals.refresh()
+        self.diverged = broken = self.sim.diverged()
+        self._wreck.add(self._qpos, self._qvel, broken)
+        self.signals.refresh(broken)
         self.episode_length_buf += 1
-        self.diverged = broken = self._contain()
 
         done = self.terminations.compute() | broken
         terminated, time_outs = self.terminations.terminated | broken, self.terminations.time_outs & ~broken
         reward = torch.where(broken, 0.0, self.rewards.compute(self.step_dt))
         self.log.add("Train/episode_length", self.episode_length_buf, done)
+        self.log.add("Train/diverged", broken)
         self.log.add("Train/falls_per_second", terminated / self.step_dt)
         self.log.add("Train/speed", self.signals.root_lin_vel_t[:, 0], self.commands.moving)
         self.events.step(self.step_dt)
@@ -183,6 +180,8 @@ class ManagerBasedRlEnv:
 
     def _reset(self, mask: Tensor) -> None:
         self.curriculum.reset(mask)
+        if self.sim.known_empty(mask):
+            return
         self.rewards.reset(mask)
         self.terminations.reset(mask)
         self.observations.reset(mask)
@@ -199,27 +198,10 @@ class ManagerBasedRlEnv:
         self.commands.reset(mask)
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
 
-    def _contain(self) -> Tensor:
-        """Worlds [N] whose physics went wrong. The last states of the first of them are kept for `take_wreck`."""
-        state = torch.cat([self._qpos, self._qvel], dim=1).to(torch.float32)
-        self._history.append(state)
-        broken = self.sim.diverged() | ~state.isfinite().all(dim=1)
-        if len(self._history) == STATES_KEPT:
-            first = broken.to(torch.uint8).argmax(dim=0, keepdim=True)
-            states = torch.cat([s.index_select(0, first) for s in self._history])
-            fresh = broken.any() & ~self._wrecked
-            self._wreck = torch.where(fresh, states, self._wreck)
-            self._wrecked = self._wrecked | fresh
-        self.log.add("Train/diverged", broken)
-        return broken
-
-    def take_wreck(self) -> Tensor | None:
-        """The last states [K, nq + nv] of the first world that diverged since the last call, or None.
+    def take_wreck(self) -> tuple[Tensor, Tensor] | None:
+        """qpos [K, nq] and qvel [K, nv] before the first divergence since the last call, or None.
         Waits for the device."""
-        if not self._wrecked.item():
-            return None
-        self._wrecked = torch.zeros_like(self._wrecked)
-        return self._wreck.cpu()
+        return self._wreck.take()
 
     def zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
         """A zero tensor [N, *shape] on the environment's device."""

@@ -26,7 +26,6 @@ class Posed:
         self._readings = {
             "sensordata": torch.zeros(1, model.nsensordata),
             "actuator_force": torch.zeros(1, model.nu),
-            "qacc": torch.zeros(1, model.nv),
         }
         self.put(root_quat_w=[1.0, 0.0, 0.0, 0.0], torso_quat_w=[1.0, 0.0, 0.0, 0.0])
         sim = SimpleNamespace(model=model, read=self._readings.__getitem__)

@@ -33,6 +33,7 @@ class RewardManager:
         if not terms:
             raise UserError("rewards: no term has a weight other than zero.")
         self.names = list(terms)
+        self._curves = tuple(f"Reward/{name}" for name in terms)
         self._calls = [self._stateful.keep(bind("reward", name, term, env)) for name, term in terms.items()]
         self._weights = torch.tensor([term.weight for term in terms.values()], device=env.device)  # [T]
         self._sums = torch.zeros(env.num_envs, len(terms), device=env.device)  # [N, T] over the episode
@@ -57,8 +58,7 @@ class RewardManager:
     def reset(self, mask: Tensor) -> None:
         """Logs and clears the episode sums of the worlds in `mask`, as reward per second."""
         means = self._sums / self._seconds.clamp(min=1e-6)[:, None]
-        for i, name in enumerate(self.names):
-            self._env.log.add(f"Reward/{name}", means[:, i], mask)
+        self._env.log.add_columns(self._curves, means, mask)
         self._sums = self._sums.masked_fill(mask[:, None], 0.0)
         self._seconds = self._seconds.masked_fill(mask, 0.0)
         self._stateful.reset(mask)

@@ -31,6 +31,7 @@ class TerminationManager:
         self._stateful = StatefulTerms()
         self._time_out = [term.time_out for _, term in cfg.items()]
         self.names = [name for name, _ in cfg.items()]
+        self._curves = tuple(f"Termination/{name}" for name in self.names)
         self._calls = [self._stateful.keep(bind("termination", name, term, env)) for name, term in cfg.items()]
         self.terminated = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.time_outs = self.terminated.clone()
@@ -53,8 +54,8 @@ class TerminationManager:
 
     def reset(self, mask: Tensor) -> None:
         """Logs why the worlds in `mask` ended, as shares."""
-        for name, hit in zip(self.names, self._hits, strict=True):
-            self._env.log.add(f"Termination/{name}", hit, mask)
+        if self._hits:
+            self._env.log.add_columns(self._curves, torch.stack(self._hits, dim=1).to(torch.float32), mask)
         self._stateful.reset(mask)
 
     def table(self) -> Table:

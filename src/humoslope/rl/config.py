@@ -142,7 +142,7 @@ def apply_preset(cfg: TaskCfg, preset: Literal["cpu", "gpu"]) -> None:
         # axes both hold alike; between them the pyramid holds less, so that training is the harder of the two.
         cfg.env.sim.cone = "pyramidal"
         cfg.agent.hidden_dims = (256, 128, 128)
-        cfg.agent.num_learning_epochs = 3
+        cfg.agent.num_learning_epochs = 2
         # Only where the CPU multiplies in bfloat16 itself. `make bench ARGS="--agent.no-mixed-precision"` compares.
         cfg.agent.mixed_precision = bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
     else:

@@ -157,12 +157,12 @@ class Runner(OnPolicyRunner):
             raise StopTraining
 
     def _report_wreck(self) -> None:
-        states = self._manager_env.take_wreck()
-        if states is None or self.run_dir is None:
+        wreck = self._manager_env.take_wreck()
+        if wreck is None or self.run_dir is None:
             return
+        qpos, qvel = wreck
         path = self.run_dir / "diverged" / f"iteration_{self.current_learning_iteration}.npz"
-        nq = self._manager_env.sim.model.nq
-        write_atomically(path, lambda out: np.savez(out, qpos=states[:, :nq].numpy(), qvel=states[:, nq:].numpy()))
+        write_atomically(path, lambda out: np.savez(out, qpos=qpos.numpy(), qvel=qvel.numpy()))
         self._console.print(f"[yellow]A world diverged and was reset; its last states are in {path}.[/yellow]")
 
     def _catch_signals(self) -> dict[int, Any]:

@@ -38,8 +38,11 @@ class Mirror:
         self, env: object = None, obs: TensorDict | None = None, actions: Tensor | None = None
     ) -> tuple[TensorDict | None, Tensor | None]:
         """rsl_rl's augmentation: the originals first, then their mirror images."""
-        both = None if obs is None else TensorDict.cat([obs, self.observation(obs)])
-        return both, None if actions is None else torch.cat([actions, self.action(actions)])
+        both = None
+        if obs is not None:
+            groups = {name: with_image(image, obs[name]) for name, image in self.groups.items()}
+            both = TensorDict(groups, batch_size=[2 * obs.batch_size[0]], device=obs.device)
+        return both, None if actions is None else with_image(self.actions, actions)
 
 
 class MirrorAugmentation(Symmetry):
@@ -57,6 +60,16 @@ def apply(image: Image, x: Tensor) -> Tensor:
     """Mirrors `x` [..., d]."""
     index, sign = image
     return x.index_select(-1, index) * sign
+
+
+def with_image(image: Image, x: Tensor) -> Tensor:
+    """`x` [B, d] and its mirror image below it, [2B, d]; written once, since the learner does this for every batch."""
+    index, sign = image
+    both = x.new_empty(2 * len(x), x.shape[1])
+    both[: len(x)] = x
+    torch.index_select(x, 1, index, out=both[len(x) :])
+    both[len(x) :] *= sign
+    return both
 
 
 def group_image(env: ManagerBasedRlEnv, name: str, group: ObservationGroup) -> Image:

@@ -23,7 +23,7 @@ class Signals:
     forward in the heading direction, left, and out of the slope.
 
     Attributes:
-        joint_pos, joint_vel, joint_acc, joint_torque: [N, J] rad, rad/s, rad/s^2, Nm.
+        joint_pos, joint_vel, joint_torque: [N, J] rad, rad/s, Nm.
         root_pos_w, root_quat_w, root_lin_vel_w, root_ang_vel_b: [N, 3 or 4].
         root_lin_vel_b, root_lin_vel_t: [N, 3] m/s.
         projected_gravity_b: [N, 3] unit vector of gravity in the root frame.
@@ -31,7 +31,7 @@ class Signals:
         root_height: [N] root above the ground below it, m.
         slope_normal_w: [N, 3] of the ground below the root, at the scale of a step.
         slope_pitch: [N] inclination of the ground in the heading direction, rad, positive uphill.
-        torso_up_b, torso_ang_vel_w: [N, 3] the vertical seen from the torso; rad/s.
+        torso_quat_w, torso_ang_vel_w: [N, 4], [N, 3] rad/s.
         com_pos_w, com_lin_vel_w: [N, 3] of the whole robot.
         foot_pos_w, foot_normal_w, foot_lin_vel_w, foot_force_w: [N, 2, 3] sole centre, sole's up axis, m/s, ground
             force in N.
@@ -44,7 +44,6 @@ class Signals:
         self._terrain = terrain
         self._sensordata = sim.read("sensordata")  # [N, S]
         self._actuator_force = sim.read("actuator_force")  # [N, J]
-        self._qacc = sim.read("qacc")  # [N, 6 + J]
         model = sim.model
         self._slices = {
             model.sensor(i).name: slice(model.sensor_adr[i], model.sensor_adr[i] + model.sensor_dim[i])
@@ -59,9 +58,14 @@ class Signals:
         )
         self.refresh()
 
-    def refresh(self) -> None:
-        """Reads the simulation and derives everything from it."""
-        data = _finite(self._sensordata)
+    def refresh(self, broken: Tensor | None = None) -> None:
+        """Reads the simulation and derives everything from it.
+
+        Args:
+            broken: [N] bool; worlds that diverged. They read zero, so that nothing spreads into sums over worlds
+                before they are reset.
+        """
+        data = _fresh(self._sensordata, broken)
         take = self._slices
 
         def feet(name: str) -> Tensor:
@@ -70,13 +74,11 @@ class Signals:
 
         self.joint_pos = data[:, self._joint_pos]
         self.joint_vel = data[:, self._joint_vel]
-        self.joint_acc = _finite(self._qacc[:, 6:])
-        self.joint_torque = _finite(self._actuator_force)
+        self.joint_torque = _fresh(self._actuator_force, broken)
         self.root_pos_w = data[:, take["root_pos_w"]]
         self.root_quat_w = data[:, take["root_quat_w"]]
         self.root_lin_vel_w = data[:, take["root_lin_vel_w"]]
         self.root_ang_vel_b = data[:, take["root_ang_vel_b"]]
-        self.torso_up_b = quaternion.up_in_body(data[:, take["torso_quat_w"]])
         self.torso_quat_w = data[:, take["torso_quat_w"]]
         self.torso_ang_vel_w = data[:, take["torso_ang_vel_w"]]
         self.com_pos_w = data[:, take["com_pos_w"]]
@@ -120,7 +122,6 @@ class Signals:
         return self._terrain.scan(self.root_pos_w[:, :2], self.heading_w, offsets)
 
 
-def _finite(x: Tensor) -> Tensor:
-    """A fresh copy without NaN or infinity:
-    a diverged world must not spread into sums over worlds before it is reset."""
-    return torch.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0)
+def _fresh(reading: Tensor, broken: Tensor | None) -> Tensor:
+    """A copy of a live reading [N, d], zero where `broken` [N] holds."""
+    return reading.clone() if broken is None else reading.masked_fill(broken[:, None], 0.0)

@@ -100,6 +100,10 @@ class NativeSimulation:
         self._warning[chosen] = 0
         self._batch.forward(ids=chosen)
 
+    def known_empty(self, mask: Tensor) -> bool:
+        """See `Simulation.known_empty`."""
+        return not mask.numpy().any()
+
     def diverged(self) -> Tensor:
         """See `Simulation.diverged`."""
         bad = self._warning[:, _FIRST_BAD:, 1].any(axis=1)

@@ -70,6 +70,13 @@ class Simulation(Protocol):
         """
         ...
 
+    def known_empty(self, mask: Tensor) -> bool:
+        """Whether it is known without waiting for the device that `mask` [N] holds in no world.
+
+        Where the worlds live on the host that is a look; a GPU never knows.
+        """
+        ...
+
     def diverged(self) -> Tensor:
         """Worlds [N] (bool) that went numerically wrong since they were last reset."""
         ...

@@ -131,6 +131,10 @@ class WarpSimulation:
         for reading, live in self._readings.values():
             _replace(reading, mask, live)
 
+    def known_empty(self, mask: Tensor) -> bool:
+        """See `Simulation.known_empty`. Looking would wait for the device."""
+        return False
+
     def diverged(self) -> Tensor:
         """See `Simulation.diverged`. Nothing puts a broken world right but a reset, so its state tells."""
         fine = self._qpos.abs().amax(dim=1) <= _LARGEST  # false for NaN
