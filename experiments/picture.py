@@ -1,6 +1,7 @@
 """Draws a policy walking up a ramp, as one picture with the robot at several instants. The README's picture is made by
 
-.venv/bin/python experiments/picture.py experiments/checkpoints/stage1.pt experiments/figures/stage1_ramp.png
+.venv/bin/python experiments/picture.py experiments/checkpoints/stage1.pt experiments/figures/stage1_ramp.png \
+        --grade 30
 """
 
 from __future__ import annotations
@@ -70,7 +71,8 @@ def render(env: ManagerBasedRlEnv, poses: np.ndarray) -> np.ndarray:
 
     camera = mujoco.MjvCamera()
     camera.lookat = poses[:, :3].mean(axis=0)
-    camera.distance, camera.azimuth, camera.elevation = 0.65 * np.ptp(poses[:, 0]) + 1.0, 100.0, -10.0
+    extent = float(np.linalg.norm(np.ptp(poses[:, :3], axis=0)))
+    camera.distance, camera.azimuth, camera.elevation = 0.75 * extent + 1.4, 100.0, -10.0
     options = mujoco.MjvOption()
     options.geomgroup[3] = 0  # collision shapes
     options.sitegroup[:] = 0
