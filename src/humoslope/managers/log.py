@@ -11,8 +11,7 @@ class Log:
 
     def __init__(self, device: torch.device) -> None:
         self.device = device
-        self._sums: dict[str, Tensor] = {}  # name -> [2]: weighted sum, weight
-        self._columns: dict[tuple[str, ...], Tensor] = {}  # names -> [T, 2]
+        self._sums: dict[tuple[str, ...], Tensor] = {}  # names -> [T, 2]: weighted sum, weight
 
     def add(self, name: str, values: Tensor, mask: Tensor | None = None) -> None:
         """Adds `values` [N] (or a scalar) to the mean called `name`, only where `mask` [N] holds."""
@@ -22,23 +21,24 @@ class Log:
         else:
             weight = mask.to(torch.float32)
             entry = torch.stack([(values * weight).sum(), weight.sum()])
-        total = self._sums.get(name)
-        self._sums[name] = entry if total is None else total + entry
+        self._gather((name,), entry[None])
 
     def add_columns(self, names: tuple[str, ...], values: Tensor, mask: Tensor) -> None:
         """Adds each column of `values` [N, T] to the mean of its name, only where `mask` [N] holds."""
         weight = mask.to(torch.float32)
         sums = weight @ values  # [T]
         entries = torch.stack([sums, weight.sum().expand_as(sums)], dim=1)  # [T, 2]
-        total = self._columns.get(names)
-        self._columns[names] = entries if total is None else total + entries
+        self._gather(names, entries)
+
+    def _gather(self, names: tuple[str, ...], entries: Tensor) -> None:
+        total = self._sums.get(names)
+        self._sums[names] = entries if total is None else total + entries
 
     def flush(self) -> dict[str, float]:
         """The means since the last flush; a name nothing was added to is left out. Waits for the device, once."""
-        if not self._sums and not self._columns:
+        if not self._sums:
             return {}
-        names = [*self._sums, *(name for names in self._columns for name in names)]
-        table = torch.cat([*(entry[None] for entry in self._sums.values()), *self._columns.values()]).cpu()
+        names = [name for group in self._sums for name in group]
+        table = torch.cat(list(self._sums.values())).cpu()
         self._sums.clear()
-        self._columns.clear()
         return {name: (s / w).item() for name, (s, w) in zip(names, table, strict=True) if w > 0}
