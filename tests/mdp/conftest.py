@@ -40,6 +40,25 @@ class Posed:
                 columns = slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
                 self._readings["sensordata"][0, columns] = torch.as_tensor(np.array(vector), dtype=torch.float32)
 
+    def stand(self, **joints: float) -> None:
+        """Puts the G1 on the slope, the default pose but for these joints (rad), the lower sole on the ground."""
+        data = mujoco.MjData(self._model)
+        data.qpos[3:] = [1.0, 0.0, 0.0, 0.0, *UNITREE_G1.default_joint_pos]
+        for name, angle in joints.items():
+            data.joint(name).qpos = angle
+        for _ in range(2):  # the second time at the height that the first one found
+            data.qpos[2] -= self.signals.foot_height.min().item()
+            mujoco.mj_forward(self._model, data)
+            self._readings["sensordata"][0] = torch.as_tensor(data.sensordata, dtype=torch.float32)
+            self.signals.refresh()
+
+    def drive(self, **power: float) -> None:
+        """Lets these joints give this power at 1 rad/s, W, and no other one any."""
+        for name in UNITREE_G1.joint_names:
+            self.put(**{f"joint_vel/{name}": [1.0]})
+            column = self._model.actuator(name).id
+            self._readings["actuator_force"][0, column] = power.get(name, 0.0)
+
 
 def plane(slope: float, uphill: float = 0.0) -> Terrain:
     """Ground that rises by `slope` degrees towards `uphill` degrees, and is at height 0 in its middle."""
