@@ -52,12 +52,13 @@ class Posed:
             self._readings["sensordata"][0] = torch.as_tensor(data.sensordata, dtype=torch.float32)
             self.signals.refresh()
 
-    def drive(self, **power: float) -> None:
-        """Lets these joints give this power at 1 rad/s, W, and no other one any."""
-        for name in UNITREE_G1.joint_names:
-            self.put(**{f"joint_vel/{name}": [1.0]})
-            column = self._model.actuator(name).id
-            self._readings["actuator_force"][0, column] = power.get(name, 0.0)
+    def put_joints(self, vel: torch.Tensor, torque: torch.Tensor, pos: torch.Tensor | None = None) -> None:
+        """Writes the readings of all joints [J], rad/s, Nm and rad; without `pos` they stay where they are."""
+        self._readings["actuator_force"][0] = torque
+        for kind, values in (("joint_vel", vel), ("joint_pos", pos)):
+            if values is not None:
+                first = self._model.sensor(f"{kind}/{UNITREE_G1.joint_names[0]}").adr[0]
+                self._readings["sensordata"][0, first : first + len(values)] = values
 
 
 def plane(slope: float, uphill: float = 0.0) -> Terrain:

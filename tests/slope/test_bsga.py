@@ -208,12 +208,6 @@ def test_a_step_earns_in_full_up_to_the_longest_one_and_less_beyond_and_only_dow
 # Swing
 
 
-@given(slope=slopes)
-def test_the_swing_target_rises_with_the_slope_uphill_alone_and_to_the_clip(slope):
-    reference = 0.45 + 1.2 * min(max(slope, 0.0), 0.5)
-    assert bsga.swing_target(scalar(slope), 0.45, 1.2, 0.5).item() == pytest.approx(reference)
-
-
 @given(error=st.floats(-1.0, 1.0))
 def test_the_swinging_hip_earns_near_the_target_and_the_standing_one_nothing(error):
     bell = math.exp(-((error / 0.3) ** 2))

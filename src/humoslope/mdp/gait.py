@@ -20,6 +20,7 @@ from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp.gait_memory import MEMORY, AirTime, Progress, StanceWork, require_positive
 from humoslope.mdp.selection import joint_pair
 from humoslope.slope import bsga
+from humoslope.slope.swing import SwingCalibration
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -265,7 +266,7 @@ class SwingHip(StatefulTerm):
         memory_s: float = MEMORY,
     ) -> None:
         require_positive("swing hip", std=std)
-        self._beta0, self._beta1, self._theta_clip = beta0, beta1, theta_clip
+        self._calibration = SwingCalibration(beta0, beta1, theta_clip)
         self._std, self._settle, self._longest = std, settle_s, longest_s
         self._hip = torch.tensor(joint_pair(env.robot, hip), device=env.device)
         self._air = AirTime(env, force)
@@ -275,7 +276,7 @@ class SwingHip(StatefulTerm):
         carries, time = self._air.step(env), self._air.time
         swinging = (time >= self._settle) & (time <= self._longest) & carries.flip(1)
         flexion = -env.signals.joint_pos.index_select(1, self._hip)
-        target = bsga.swing_target(env.patch.descriptor.slope, self._beta0, self._beta1, self._theta_clip)
+        target = self._calibration.target(env.patch.descriptor.slope)
         return bsga.swing_reward(flexion, swinging, target, self._std) * self._progress(env)
 
     def reset(self, mask: Tensor) -> None:

@@ -215,17 +215,12 @@ def stride_reward(
     return torch.exp((longest - length).clamp(max=0.0) / std) * down
 
 
-def swing_target(slope: Tensor, beta0: float, beta1: float, theta_clip: float) -> Tensor:
-    """Hip flexion in swing (eq. swing_calibration), [...] rad: beta0 + beta1 clip(slope, 0, theta_clip)."""
-    return beta0 + beta1 * slope.clamp(0.0, theta_clip)
-
-
 def swing_reward(hip: Tensor, swinging: Tensor, target: Tensor, std: float) -> Tensor:
-    """r_swing = exp(-((q - q*) / std)^2), summed over the legs that swing, [...].
+    """r_swing = exp(-((q - q*) / std)^2) with q* of eq. swing_calibration, summed over the legs that swing, [...].
 
     Args:
         hip: [..., 2] hip flexion q, rad.
         swinging: [..., 2] bool.
-        target: [...] q*, rad.
+        target: [...] q*, rad, by `SwingCalibration.target`.
     """
     return (torch.exp(-((hip - target.unsqueeze(-1)) / std).square()) * swinging).sum(dim=-1)
