@@ -117,10 +117,6 @@ class Signals:
         forward, left, n = self._forward_w, self._left_w, self.slope_normal_w
         return torch.stack([(v * forward).sum(dim=1), (v * left).sum(dim=1), (v * n).sum(dim=1)], dim=1)
 
-    def ground_scan(self, offsets: Tensor) -> Tensor:
-        """Ground heights [N, P] at `offsets` [P, 2] (forward, left) from the root, in its heading frame, world z."""
-        return self._terrain.scan(self.root_pos_w[:, :2], self.heading_w, offsets)
-
 
 def _fresh(reading: Tensor, broken: Tensor | None) -> Tensor:
     """A copy of a live reading [N, d], zero where `broken` [N] holds."""
