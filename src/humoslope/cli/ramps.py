@@ -111,7 +111,7 @@ def _walk(console: Console, env: ManagerBasedRlEnv, actor: Actor, protocol: Ramp
 def _report(
     env: ManagerBasedRlEnv, provenance: Provenance, protocol: RampProtocol, results: list[RampResult]
 ) -> dict[str, Any]:
-    checkpoint = dataclasses.asdict(provenance) | {"path": str(provenance.path)}
+    checkpoint = plain(provenance)
     harness = checkpoint.pop("harness")
     return {
         "what": "ramps",
