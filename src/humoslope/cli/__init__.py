@@ -14,6 +14,9 @@ VERBS = {
     "terrain": "Draw a terrain to a PNG.",
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
     "curve": "Draw the learning curve of a run.",
+    "record": "Let a checkpoint walk once and keep the walk in a file.",
+    "replay": "Show a recorded walk in rerun.",
+    "video": "Make a video and a contact sheet of a recorded walk.",
     "bench": "Measure speed and memory.",
 }
 """Each verb is `run(arguments)` in the module of its name."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
-from humoslope.replay.scene import TIME
+from humoslope.replay.scene import FOLLOWED, TIME
 
 PLOTS = {
     "speed": "forward speed, m/s",
@@ -24,15 +24,10 @@ WINDOW_S = 4.0
 """Plots show this much before and after the moment that is shown, s: a few steps."""
 
 
-def single(root_link: str, start: Sequence[float]) -> rrb.Blueprint:
-    """One rollout: the world on the left, with events and provenance below, and every plot on the right.
-
-    Args:
-        root_link: What the camera follows.
-        start: Where it is first, m.
-    """
+def single(name: str) -> rrb.Blueprint:
+    """One rollout: the world on the left, with events and provenance below, and every plot on the right."""
     world = rrb.Vertical(
-        _world("", "the walk", root_link, start),
+        _world("", name),
         rrb.Horizontal(
             _log("", "events"),
             rrb.TextDocumentView(origin="about", name="about"),
@@ -43,44 +38,43 @@ def single(root_link: str, start: Sequence[float]) -> rrb.Blueprint:
     return _whole(rrb.Horizontal(world, plots, column_shares=[3, 2]))
 
 
-def comparison(names: Sequence[str], prefixes: Sequence[str], root_link: str, starts: Sequence[Sequence[float]]) -> rrb.Blueprint:
+def comparison(names: Sequence[str], prefixes: Sequence[str]) -> rrb.Blueprint:
     """Two rollouts side by side on one timeline; what can be compared shares a plot."""
-    worlds = [_world(p, n, root_link, s) for p, n, s in zip(prefixes, names, starts, strict=True)]
+    worlds = [_world(prefix, name) for prefix, name in zip(prefixes, names, strict=True)]
     shared = [_plot(name, prefixes) for name in ("speed", "height", "zmp", "ground")]
     own = [
-        _plot(plot, [prefix], f"{name}: {PLOTS[plot]}")
+        _plot(plot, [prefix], f"{i}: {PLOTS[plot]}")
         for plot in ("load", "reward")
-        for prefix, name in zip(prefixes, names, strict=True)
+        for i, prefix in enumerate(prefixes, start=1)
     ]
-    logs = [_log(prefix, f"{name}: events") for prefix, name in zip(prefixes, names, strict=True)]
+    logs = [_log(prefix, f"{i}: events") for i, prefix in enumerate(prefixes, start=1)]
     return _whole(
         rrb.Vertical(
             rrb.Horizontal(*worlds),
             rrb.Horizontal(*shared),
             rrb.Horizontal(*own),
             rrb.Horizontal(*logs),
-            row_shares=[5, 2, 2, 1],
+            row_shares=[10, 4, 4, 3],
         )
     )
 
 
 def _whole(content: rrb.Container) -> rrb.Blueprint:
-    return rrb.Blueprint(content, rrb.TimePanel(timeline=TIME, state="collapsed"), collapse_panels=True)
+    # Without a state to start in, a browser begins at the end, where the camera is not.
+    time = rrb.TimePanel(timeline=TIME, state="collapsed", play_state="playing", loop_mode="all")
+    return rrb.Blueprint(content, time, collapse_panels=True)
 
 
-def _world(prefix: str, name: str, root_link: str, start: Sequence[float]) -> rrb.Spatial3DView:
+def _world(prefix: str, name: str) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
-        origin=f"/{prefix}world",
+        # Seen from a moving origin, the robot stays in the middle. An eye that tracks an entity also works, but as long
+        # as the recording loads it may come to rest anywhere.
+        origin=f"/{prefix}world/{FOLLOWED}",
+        contents=f"/{prefix}world/**",
         name=name,
         background=rrb.Background(kind="GradientBright"),
         line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(
-            position=[a + b for a, b in zip(start, EYE, strict=True)],
-            look_target=list(start),
-            eye_up=(0.0, 0.0, 1.0),
-            # rerun follows only an entity that is itself drawn.
-            tracking_entity=f"/{prefix}world/robot/{root_link}",
-        ),
+        eye_controls=rrb.EyeControls3D(position=EYE, look_target=(0.0, 0.0, -0.1), eye_up=(0.0, 0.0, 1.0)),
     )
 
 

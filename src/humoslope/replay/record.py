@@ -13,11 +13,12 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from humoslope.env import EnvCfg, ManagerBasedRlEnv, SceneCfg
+from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.managers import EventTerm, RewardTerm, Terms
 from humoslope.mdp.balance import ZmpRegulariser
+from humoslope.mdp.gait import ComHeight
 from humoslope.replay import happenings
 from humoslope.replay.recorder import Pushes, Recorder
 from humoslope.replay.rollout import Rollout
@@ -107,19 +108,22 @@ def record_env_cfg(task_env: EnvCfg, protocol: RecordProtocol) -> EnvCfg:
     same = ("seconds", "speed", "timestep", "friction", "friction_margin", "seed")
     check = RampProtocol(grades=(0.0,), starts=1, **{name: getattr(protocol, name) for name in same})
     cfg = ramp_env_cfg(task_env, check)
-    cfg.scene = SceneCfg(robot=task_env.scene.robot, terrain=protocol.ground())
+    cfg.scene = dataclasses.replace(task_env.scene, terrain=protocol.ground())
     cfg.rewards = task_env.rewards
     if protocol.push:
         every = (protocol.push_every,) * 2
         cfg.events.push = EventTerm(Pushes, {"speed": protocol.push}, mode="interval", interval_s=every)
-    cfg.events.recorder = EventTerm(Recorder, {"regulariser": _regulariser(task_env.rewards)}, mode="step")
+    recorded = {
+        "regulariser": _params(task_env.rewards, ZmpRegulariser) or {},
+        "com_height": _params(task_env.rewards, ComHeight),
+    }
+    cfg.events.recorder = EventTerm(Recorder, recorded, mode="step")
     return cfg
 
 
-def _regulariser(rewards: Terms[RewardTerm]) -> dict[str, Any]:
-    """Parameters of the task's own ZMP regulariser; its defaults if the task has none."""
-    found = [term.params for _, term in rewards.items() if term.func is ZmpRegulariser]
-    return found[0] if found else {}
+def _params(rewards: Terms[RewardTerm], kind: type) -> dict[str, Any] | None:
+    """Parameters of the task's reward of that kind; None if it has none."""
+    return next((term.params for _, term in rewards.items() if term.func is kind), None)
 
 
 def record(

@@ -11,6 +11,7 @@ from torch import Tensor
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp import events
 from humoslope.mdp.balance import ZmpRegulariser
+from humoslope.mdp.gait import ComHeight
 from humoslope.replay.rollout import Columns
 from humoslope.slope import quaternion
 
@@ -29,6 +30,7 @@ SIGNALS = (
     "joint_torque",
     "com_pos_w",
     "com_lin_vel_w",
+    "com_height",
     "foot_pos_w",
     "foot_force_w",
 )
@@ -42,14 +44,16 @@ class Recorder(StatefulTerm):
 
     Args:
         regulariser: Parameters of the `ZmpRegulariser` whose anchor, plane and point are recorded.
+        com_height: Parameters of the `ComHeight` whose target is recorded; None where the task has no target.
 
     Attributes:
         ended: Whether the robot left its ground in the last step.
         fell: Whether it fell.
     """
 
-    def __init__(self, env: Env, regulariser: dict[str, Any]) -> None:
+    def __init__(self, env: Env, regulariser: dict[str, Any], com_height: dict[str, Any] | None = None) -> None:
         self._zmp = ZmpRegulariser(env, **regulariser)
+        self._com_height = None if com_height is None else ComHeight(env, **com_height)
         self._rows: list[dict[str, Tensor]] = []
         self._episode = 0
         self.ended = self.fell = False
@@ -60,8 +64,7 @@ class Recorder(StatefulTerm):
         row = {name: getattr(signals, name) for name in SIGNALS} | {
             "action": env.actions.action,
             "command": env.commands.velocity,
-            "com_height": signals.com_pos_w[:, 2] - env.terrain.height(signals.com_pos_w[:, :2]),
-            "com_height_target": env.zeros() + torch.nan,
+            "com_height_target": self._vertical_target(env),
             "reward": env.rewards.last,
             "slope": ground.slope,
             "bank": ground.bank,
@@ -78,6 +81,13 @@ class Recorder(StatefulTerm):
         self.fell = bool(env.terminations.terminated[0] | env.diverged[0])
         self.ended = bool(env.terminations.time_outs[0]) and not self.fell
         self._episode += self.fell
+
+    def _vertical_target(self, env: Env) -> Tensor:
+        """Height of the centre of mass above the ground below it that the task asks for, [N] m."""
+        if self._com_height is None:
+            return torch.full_like(env.signals.com_height, torch.nan)
+        # What lies at right angles to the slope is further off vertically.
+        return self._com_height.target(env) / env.patch.descriptor.slope.cos()
 
     def reset(self, mask: Tensor) -> None:
         """The support plane of the last episode is forgotten; the rows stay."""

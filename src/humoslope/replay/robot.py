@@ -15,27 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
 from humoslope.replay.rollout import Rollout
+from humoslope.replay.shape import Shape
 
 Array = NDArray[np.float64]
 
 CREASE = math.radians(40.0)
 """Edges sharper than this stay visible when a shape is shaded smoothly, rad."""
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A triangle mesh.
-
-    Attributes:
-        vertices, normals: [V, 3] m; unit vectors.
-        triangles: [F, 3] indices.
-        colours: [V, 3] in 0..255.
-    """
-
-    vertices: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    triangles: NDArray[np.int32]
-    colours: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,7 @@ WIDTHS: dict[str, tuple[int | str, ...]] = {
 HEADER: dict[str, tuple[str, ...]] = {
     "": ("task", "label", "checkpoint", "dt", "reward_terms", "events"),
     "robot": ("name", "urdf", "root", "joint_names", "default_joint_pos", "action_scale", "effort_limit"),
-    "terrain": ("name", "grade", "cell", "origin"),
+    "terrain": ("name", "grade", "cell", "origin", "tile_origin", "tile_length", "tile_width"),
 }
 """What viewers need of the header, by section."""
 

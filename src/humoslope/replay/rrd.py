@@ -29,36 +29,31 @@ def write_rrd(rollouts: Sequence[Rollout], path: Path) -> None:
 
 
 def _write(rollouts: Sequence[Rollout], path: Path) -> None:
-    names = names_of(rollouts)
-    starts = [rollout.columns.root_pos_w[0].tolist() for rollout in rollouts]
-    root = rollouts[0].header["robot"]["root"]
-    if len(rollouts) == 1:
-        blueprint = layout.single(root, starts[0])
-    else:
-        blueprint = layout.comparison(names, PREFIXES, root, starts)
+    alone, names = len(rollouts) == 1, names_of(rollouts)
+    blueprint = layout.single(names[0]) if alone else layout.comparison(names, PREFIXES)
     # A viewer keeps one layout for each application, so that single walks and comparisons must be two.
-    application = "humoslope" if len(rollouts) == 1 else "humoslope comparison"
-    recording = rr.RecordingStream(application)
+    recording = rr.RecordingStream("humoslope" if alone else "humoslope comparison")
     recording.save(path, default_blueprint=blueprint)
     recording.send_recording_name(" and ".join(names))
     for i, rollout in enumerate(rollouts):
-        alone = len(rollouts) == 1
         scene = Scene(recording, rollout, "" if alone else PREFIXES[i])
         scene.log()
-        log_plots(scene, rollout, label="" if alone else f"{names[i]}: ", pale=i > 0)
-        about = rr.TextDocument(describe(rollout), media_type=rr.MediaType.MARKDOWN)
-        recording.log(("" if alone else PREFIXES[i]) + "about", about, static=True)
+        scene.log_about(describe(rollout))
+        log_plots(scene, rollout, shared="" if alone else f"{i + 1} ", pale=i > 0)
     recording.flush()
     recording.disconnect()
 
 
 def names_of(rollouts: Sequence[Rollout]) -> list[str]:
-    """What the viewer calls each rollout: its label, with the ground where labels are the same."""
-    labels = [rollout.header["label"] for rollout in rollouts]
-    if len(set(labels)) == len(labels):
-        return labels
-    grounds = [f"{r.header['terrain']['name']} {r.header['terrain']['grade']:g}°" for r in rollouts]
-    return [f"{label} on {ground}" for label, ground in zip(labels, grounds, strict=True)]
+    """What the viewer calls each rollout; numbered if there are several."""
+    number = "{}: " if len(rollouts) > 1 else ""
+    return [number.format(i) + title(rollout) for i, rollout in enumerate(rollouts, start=1)]
+
+
+def title(rollout: Rollout) -> str:
+    """Who walks where."""
+    terrain = rollout.header["terrain"]
+    return f"{rollout.header['label']}, {terrain['name']} {terrain['grade']:g}°"
 
 
 def describe(rollout: Rollout) -> str:

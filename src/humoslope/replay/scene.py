@@ -14,12 +14,16 @@ from scipy.spatial.transform import Rotation
 
 from humoslope.replay import colours
 from humoslope.replay.colours import Colour
+from humoslope.replay.follow import follow
 from humoslope.replay.ground import ground_shape
-from humoslope.replay.robot import RobotShape, Shape
+from humoslope.replay.robot import RobotShape
 from humoslope.replay.rollout import Rollout
+from humoslope.replay.shape import Shape
 
 TIME, STEP = "time", "step"
 """The timelines: seconds, and control steps."""
+FOLLOWED = "followed"
+"""Entity below the world that moves with the robot but does not turn; views look from there."""
 METRES_PER_NEWTON = 1.0 / 700.0
 """Length of a force arrow: that of a G1's weight is half a metre."""
 OVERHEAD = 0.65
@@ -55,6 +59,8 @@ class Scene:
         self._log_support()
         self._log_centre_of_mass()
         self._log_ground_normal()
+        eye = rr.Transform3D.columns(translation=follow(self._rollout.columns, self._rollout.header["dt"]))
+        self._columns(f"world/{FOLLOWED}", eye)
         for side, name in enumerate(("left", "right")):
             feet, force = self._rollout.columns.foot_pos_w[:, side], self._rollout.columns.foot_force_w[:, side]
             self._arrows(f"world/contact/{name}", feet, METRES_PER_NEWTON * force, colours.FORCE)
@@ -119,6 +125,10 @@ class Scene:
         levels = ["WARN" if event.kind in ("fall", "push") else "INFO" for event in events]
         texts = [event.text for event in events]
         self._recording.send_columns(self._prefix + "events", times, rr.TextLog.columns(text=texts, level=levels))
+
+    def log_about(self, text: str) -> None:
+        """Writes a text, in Markdown, that says whose walk this is."""
+        self._static("about", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
     def series(
         self, path: str, values: Array, names: Sequence[str], palette: Sequence[Colour], width: float = 1.5
