@@ -68,18 +68,35 @@ class Solid:
         self._colours = (shape.colours / np.float32(255.0)) ** np.float32(GAMMA)
         self._scene = EmbreeScene()
         TriangleMesh(self._scene, np.ascontiguousarray(shape.vertices), np.ascontiguousarray(shape.triangles))
+        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+        self._centre, self._radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
 
     def meet(self, origins: Array, rays: Array) -> tuple[Array, NDArray[np.int32], Array, Array]:
         """Where each ray [P, 3] meets the shape first: distance [P] (infinite where it does not), triangle [P] (-1), and
         the two coordinates [P] in the triangle."""
-        met = self._scene.run(origins, rays, output=True)
-        hit = met["primID"] >= 0
-        return np.where(hit, met["tfar"], np.inf).astype(np.float32), met["primID"], met["u"], met["v"]
+        distance = np.full(len(rays), np.inf, np.float32)
+        triangle = np.full(len(rays), -1, np.int32)
+        u, v = np.zeros_like(distance), np.zeros_like(distance)
+        near = self._near(origins, rays)
+        if len(near):
+            met = self._scene.run(origins[near], rays[near], output=True)
+            triangle[near], u[near], v[near] = met["primID"], met["u"], met["v"]
+            distance[near] = np.where(met["primID"] >= 0, met["tfar"], np.inf)
+        return distance, triangle, u, v
 
     def shades(self, origins: Array) -> NDArray[np.bool_]:
         """Whether the shape is between each place [P, 3] and the sun."""
-        rays = np.broadcast_to(SUN, origins.shape).copy()
-        return np.asarray(self._scene.run(origins, rays, query="OCCLUDED") >= 0)
+        rays = np.broadcast_to(SUN, origins.shape)
+        dark, near = np.zeros(len(origins), bool), self._near(origins, rays)
+        if len(near):
+            dark[near] = self._scene.run(origins[near], rays[near], query="OCCLUDED") >= 0
+        return dark
+
+    def _near(self, origins: Array, rays: Array) -> NDArray[np.int64]:
+        """Which rays come close enough to meet the shape at all; most do not come near a robot."""
+        to_centre = self._centre - origins
+        along = np.einsum("ij,ij->i", to_centre, rays)
+        return np.flatnonzero(np.einsum("ij,ij->i", to_centre, to_centre) - along**2 < self._radius**2)
 
     def surface(self, triangle: NDArray[np.int32], u: Array, v: Array) -> tuple[Array, Array]:
         """Normal, evened out between the corners, and colour, that of the first corner, [P, 3] at places in triangles."""

@@ -82,6 +82,11 @@ class Recorder(StatefulTerm):
         self.ended = bool(env.terminations.time_outs[0]) and not self.fell
         self._episode += self.fell
 
+    @property
+    def steps(self) -> int:
+        """Rows so far."""
+        return len(self._rows)
+
     def _vertical_target(self, env: Env) -> Tensor:
         """Height of the centre of mass above the ground below it that the task asks for, [N] m."""
         if self._com_height is None:
@@ -100,28 +105,26 @@ class Recorder(StatefulTerm):
         return Columns(time=(np.arange(1, len(rows) + 1) * dt).astype(np.float32), **arrays)
 
 class Pushes(StatefulTerm):
-    """Interval event: `events.push`, remembered.
+    """Interval event: `events.push`, remembered. There must be a `Recorder` called "recorder".
 
     Args:
         speed: See `events.push`.
 
     Attributes:
-        kicks: (number of control steps before it, change of the root's velocity in m/s along world x and y).
+        kicks: (recorded steps before it, change of the root's velocity in m/s along world x and y).
     """
 
     def __init__(self, env: Env, speed: float) -> None:
         self._speed = speed
-        self._steps = 0
         self.kicks: list[tuple[int, float, float]] = []
 
     def __call__(self, env: Env, mask: Tensor) -> None:
         qvel = env.sim.state("qvel")
         before = qvel[0, :2].clone()
         events.push(env, mask, self._speed)
-        self._steps += 1
         if mask[0]:
             x, y = (qvel[0, :2] - before).tolist()
-            self.kicks.append((self._steps, x, y))
+            self.kicks.append((env.events["recorder"].steps, x, y))
 
     def reset(self, mask: Tensor) -> None:
         """What was remembered stays."""

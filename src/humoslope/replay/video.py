@@ -22,8 +22,8 @@ from humoslope.replay.rollout import Rollout
 SHEET_COLUMNS, SHEET_ROWS = 3, 2
 GAP = 6
 """White between the pictures of a contact sheet, pixels."""
-QUALITY = ["-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-"""For x264: hardly visible losses, colours that every player knows, and playing starts before all is loaded."""
+QUALITY = ["-crf", "20", "-movflags", "+faststart"]
+"""For x264: hardly visible losses, and playing starts before all is loaded."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,14 @@ def contact_sheet(pictures: Sequence[Picture]) -> Picture:
 def _encode(pictures: Iterator[Picture], path: Path, cfg: VideoCfg, on_frame: Callable[[], None]) -> None:
     try:
         writer = imageio_ffmpeg.write_frames(
-            str(path), (cfg.width, cfg.height), fps=cfg.fps, codec="libx264", macro_block_size=2, output_params=QUALITY
+            str(path),
+            (cfg.width, cfg.height),
+            fps=cfg.fps,
+            codec="libx264",
+            quality=None,  # QUALITY says it
+            macro_block_size=2,
+            ffmpeg_log_level="error",
+            output_params=QUALITY,
         )
         writer.send(None)
         for picture in pictures:

@@ -43,7 +43,7 @@ def open_window(path: Path) -> None:
             "or make a video with `humoslope video`."
         )
     with tempfile.TemporaryFile("w+") as said:
-        done = subprocess.run([_program(), str(path), "--port", "auto", "--bind", HOST], stderr=said, check=False)
+        done = subprocess.run([program(), str(path), "--port", "auto", "--bind", HOST], stderr=said, check=False)
         if done.returncode:
             raise _failure(done.returncode, said)
 
@@ -70,7 +70,7 @@ def served(path: Path, web_port: int, port: int) -> Iterator[str]:
         files = ThreadingHTTPServer((HOST, port), partial(_Files, f"http://{HOST}:{web_port}", directory=folder))
         threading.Thread(target=files.serve_forever, daemon=True).start()
         recording = f"http://{HOST}:{port}/{SERVED}"
-        command = [_program(), recording, "--serve-web", "--bind", HOST, "--web-viewer-port", str(web_port)]
+        command = [program(), recording, "--serve-web", "--bind", HOST, "--web-viewer-port", str(web_port)]
         page = subprocess.Popen(command, stdout=said, stderr=said)
         try:
             _wait_for(page, web_port, said)
@@ -126,7 +126,7 @@ def _wait_for(page: subprocess.Popen[bytes], web_port: int, said: IO[str]) -> No
     raise UserError(f"rerun's page did not come up on port {web_port} within {START_S:g} s.")
 
 
-def _program() -> str:
+def program() -> str:
     """The viewer itself: the script that pip makes of it passes on neither signals nor exit codes."""
     folder = Path(rerun_cli.__file__).parent
     for name in PROGRAMS:
