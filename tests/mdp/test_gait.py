@@ -120,10 +120,12 @@ def test_who_walks_as_the_slope_asks_earns_most_of_every_term(env, name):
     ],
 )
 def test_hips_are_judged_uphill_knees_and_steps_downhill_and_neither_on_the_flat(env, slope, earning):
-    def sum_of(name, drive):
-        return values(env, term_of(env, name, slope)[0], slope, 50, drive=drive).sum()
+    def earns(name):
+        term, _ = term_of(env, name, slope)
+        # Two steps, in which the legs both propel and brake.
+        return any(values(env, term, slope, 1, start=k, drive=(-1.0) ** k).item() > 0.0 for k in range(40))
 
-    assert {name for name in TERMS if sum_of(name, 1.0) + sum_of(name, -1.0) > 0.0} == earning
+    assert {name for name in TERMS if earns(name)} == earning
 
 
 @every_term
@@ -188,8 +190,8 @@ def test_only_posture_is_rewarded_in_worlds_that_are_asked_to_stand(env, name):
 def test_half_the_commanded_speed_earns_half(env, name):
     slow, slope = term_of(env, name)
     full, _ = term_of(env, name)
-    one, half = values(env, full, slope, 160)[120:], values(env, slow, slope, 160, speed=0.25)[120:]
-    torch.testing.assert_close(half, 0.5 * one, atol=0.005, rtol=0)
+    one, half = values(env, full, slope, 140)[100:], values(env, slow, slope, 140, speed=0.25)[100:]
+    torch.testing.assert_close(half, 0.5 * one, atol=0.02, rtol=0)
 
 
 def test_sliding_downhill_on_both_feet_is_no_stride_and_no_braking(env):
