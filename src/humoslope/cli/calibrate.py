@@ -50,12 +50,12 @@ def run(arguments: list[str]) -> None:
     path = find_checkpoint(options.checkpoint)
     provenance = read_provenance(path)
     out = options.out or calibration_path(path)
+    check_place(out)
     picture = out.with_suffix(".png")
     if picture == out:
         raise UserError(
             f"--out '{out}' is where the picture goes; name the JSON file, such as '{calibration_path(out)}'."
         )
-    check_place(out)
     check_place(picture)
 
     protocol, fit, console = options.protocol, options.fit, Console()
