@@ -69,7 +69,8 @@ def run(arguments: list[str]) -> None:
         samples = walk(env, actor, protocol, on_step)
     took = time.monotonic() - started
 
-    warn(console, env.sim.warnings())
+    warnings = env.sim.warnings()
+    warn(console, warnings)
     bins = gather(samples, fit, protocol.grades)
     try:
         found = solve(bins, fit)
@@ -78,7 +79,7 @@ def run(arguments: list[str]) -> None:
         raise
     console.print(table(bins, fit, found))
     _say(console, found)
-    meta = describe(env, provenance, protocol, took, ["calibrate", *arguments])
+    meta = describe(env, provenance, protocol, took, warnings, ["calibrate", *arguments])
     write_calibration(out, found, {"fit": plain(fit), "samples": len(samples), **meta})
     draw(samples, found, fit, f"{path.name}, iteration {provenance.iteration}", picture)
     console.print(f"wrote {out} and {picture}", soft_wrap=True)

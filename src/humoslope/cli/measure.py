@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -63,15 +62,21 @@ def warn(console: Console, warnings: list[str]) -> None:
 
 
 def describe(
-    env: ManagerBasedRlEnv, provenance: Provenance, protocol: RampProtocol, took: float, command: list[str]
+    env: ManagerBasedRlEnv,
+    provenance: Provenance,
+    protocol: RampProtocol,
+    took: float,
+    warnings: list[str],
+    command: list[str],
 ) -> dict[str, Any]:
     """Where figures come from, as JSON types.
 
     Args:
         took: Seconds of walking.
+        warnings: What the physics complained of.
         command: Verb and arguments.
     """
-    checkpoint = dataclasses.asdict(provenance) | {"path": str(provenance.path)}
+    checkpoint = plain(provenance)
     harness = checkpoint.pop("harness")
     return {
         "version": humoslope.__version__,
@@ -81,7 +86,7 @@ def describe(
         "protocol": plain(protocol),
         "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
         "environment": {name: plain(getattr(env.cfg, name)) for name in MEASURED},
-        "physics_warnings": env.sim.warnings(),
+        "physics_warnings": warnings,
         "wall_clock_s": round(took, 1),
         "command_line": shlex.join(["humoslope", *command]),
     }

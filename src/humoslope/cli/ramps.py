@@ -55,10 +55,11 @@ def run(arguments: list[str]) -> None:
 
     console.print(table(results))
     console.print(provenance.training, soft_wrap=True, highlight=False)
-    warn(console, env.sim.warnings())
+    warnings = env.sim.warnings()
+    warn(console, warnings)
     report = {
         "what": "ramps",
-        **describe(env, provenance, protocol, took, ["ramps", *arguments]),
+        **describe(env, provenance, protocol, took, warnings, ["ramps", *arguments]),
         "ramps": [plain(r) | {"fall_share": r.falls.share} for r in results],
     }
     write_text(out, json.dumps(report, indent=2, allow_nan=False) + "\n")

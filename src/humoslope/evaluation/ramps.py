@@ -18,7 +18,7 @@ from rich.table import Table
 from tensordict import TensorDict
 from torch import Tensor
 
-from humoslope.env import EnvCfg, ManagerBasedRlEnv, SceneCfg
+from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.rollout import roll
 from humoslope.evaluation.statistics import Array, Proportion, mean, proportion
@@ -145,7 +145,7 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
         )
     return dataclasses.replace(
         task_env,
-        scene=SceneCfg(robot=task_env.scene.robot, terrain=_ground(protocol)),
+        scene=dataclasses.replace(task_env.scene, terrain=_ground(protocol)),
         sim=dataclasses.replace(sim, timestep=protocol.timestep, decimation=decimation, cone="elliptic"),
         num_envs=protocol.starts * len(protocol.grades),
         # The trial ends first, so that a time-out never ends an episode here.
