@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import shutil
 from collections.abc import Callable
@@ -18,12 +17,14 @@ WALKER = Path(__file__).parents[2] / "experiments/checkpoints/stage1.pt"
 QUICK = ("--grades", "-10", "0", "10", "15", "20", "--starts", "1", "--seconds", "6.5", "--least-samples", "10")
 
 
-def test_a_walker_is_calibrated_beside_its_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = Path(shutil.copy(WALKER, tmp_path / "model_7.pt"))
-    assert main(["calibrate", str(tmp_path), *QUICK]) == 0
-    calibration, meta = load_calibration(tmp_path / "model_7.swing.json")
-    assert (tmp_path / "model_7.swing.png").read_bytes().startswith(b"\x89PNG")
-    check_belongs(meta, path, hashlib.sha256(path.read_bytes()).hexdigest())
+def test_a_walker_is_calibrated_and_file_picture_and_screen_agree(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "g1.json"
+    assert main(["calibrate", str(WALKER), *QUICK, "--out", str(out)]) == 0
+    calibration, meta = load_calibration(out)
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    check_belongs(meta, WALKER, hashlib.sha256(WALKER.read_bytes()).hexdigest())
     assert 0.2 < calibration.beta0 < 1.0
     assert calibration.theta_clip == pytest.approx(math.radians(30.0))
     used = [b for b in meta["bins"] if b["used"]]
@@ -35,12 +36,13 @@ def test_a_walker_is_calibrated_beside_its_checkpoint(tmp_path: Path, capsys: py
     assert meta["checkpoint"]["task"] == "HumoSlope-Stage1-Unitree-G1"
     assert meta["physics"]["cone"] == "elliptic"
     assert meta["fit"]["percentile"] == 90.0
+    assert meta["command_line"].startswith("humoslope calibrate ")
     assert meta["samples"] == sum(b["count"] for b in meta["bins"])
 
     printed = capsys.readouterr().out
     assert f"beta0 {calibration.beta0:.4f}" in printed
     assert "prior for comparison: beta0 0.45 rad" in printed
-    assert "model_7.swing.json" in printed
+    assert f"wrote {out}" in printed
 
 
 def test_a_robot_that_cannot_walk_is_refused_with_the_prior_offered_and_nothing_is_written(
@@ -55,20 +57,13 @@ def test_a_robot_that_cannot_walk_is_refused_with_the_prior_offered_and_nothing_
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-def test_the_file_is_written_where_it_is_wanted_with_its_picture(untrained: Path, tmp_path: Path) -> None:
-    out = tmp_path / "new" / "g1.json"
-    assert main(["calibrate", str(WALKER), *QUICK, "--out", str(out)]) == 0
-    assert json.loads(out.read_text())["command_line"].startswith("humoslope calibrate ")
-    assert out.with_suffix(".png").is_file()
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--hip-joints", ".*hip.*"), "it must match exactly one joint with 'left' and one with 'right'"),
+        (("--hip", ".*hip.*"), "must match one left and one right joint of unitree_g1"),
         (("--percentile", "100"), "percentile 100 must be at least 50 and below 100"),
         (("--grades", "90"), "grade 90 must be between -60 and 60"),
-        (("--unloaded", "0"), "unloaded is 0"),
+        (("--swing-force", "0"), "swing_force is 0"),
         (("--out", "."), "is a folder"),
         (("--out", "a.png"), "is where the picture goes; name the JSON file, such as 'a.swing.json'"),
     ],

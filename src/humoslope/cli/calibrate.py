@@ -18,8 +18,9 @@ from humoslope.evaluation.calibration import Fit, SwingFit, gather, solve, table
 from humoslope.evaluation.calibration_figure import draw
 from humoslope.evaluation.calibration_file import calibration_path, write_calibration
 from humoslope.evaluation.ramps import ramp_env_cfg
-from humoslope.evaluation.swing_walk import SwingProtocol, hip_joints, walk
+from humoslope.evaluation.swing_walk import SwingProtocol, walk
 from humoslope.files import check_place
+from humoslope.mdp.selection import joint_pair
 from humoslope.registry import build_task, load_content
 from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
 from humoslope.rl.rundir import plain
@@ -60,7 +61,7 @@ def run(arguments: list[str]) -> None:
 
     protocol, fit, console = options.protocol, options.fit, Console()
     cfg = ramp_env_cfg(build_task(provenance.task).env, protocol)
-    hip_joints(cfg.scene.robot, protocol.hip_joints)  # a mistaken pattern is said before anything is built
+    joint_pair(cfg.scene.robot, protocol.hip)  # a mistaken pattern is said before anything is built
     env = ManagerBasedRlEnv(cfg)
     actor = load_actor(path, env, provenance.task)
     introduce(console, env, provenance, protocol)
