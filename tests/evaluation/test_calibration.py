@@ -90,6 +90,7 @@ def test_the_fit_is_the_least_squares_solution_of_the_equation(values: list[floa
     residuals = np.array(values) - design @ expected
     assert np.array(found.residuals, dtype=float) == pytest.approx(residuals, abs=1e-9)
     assert found.rms_residual == pytest.approx(math.sqrt((residuals**2).mean()), abs=1e-9)
+    assert abs(found.worst[0]) == pytest.approx(np.abs(residuals).max(), abs=1e-9)
 
 
 def test_slopes_beyond_the_clip_say_what_the_steepest_do() -> None:

@@ -87,10 +87,11 @@ def run(arguments: list[str]) -> None:
 
 
 def _say(console: Console, found: SwingFit) -> None:
-    fitted, prior = found.calibration, PRIOR
+    fitted, prior, (residual, grade) = found.calibration, PRIOR, found.worst
     console.print(
         f"beta0 {fitted.beta0:.4f} +- {found.beta0_error:.4f} rad, beta1 {fitted.beta1:.4f} +- {found.beta1_error:.4f} "
-        f"rad/rad, theta_clip {math.degrees(fitted.theta_clip):g}°; RMS residual {found.rms_residual:.4f} rad\n"
+        f"rad/rad, theta_clip {math.degrees(fitted.theta_clip):g}°\n"
+        f"RMS residual {found.rms_residual:.4f} rad; largest {residual:+.4f} rad at {grade:g}°\n"
         f"prior for comparison: beta0 {prior.beta0:g} rad, beta1 {prior.beta1:g} rad/rad",
         highlight=False,
         soft_wrap=True,
