@@ -26,7 +26,6 @@ from humoslope.rl.policy import hidden_dims
 from humoslope.rl.symmetry import Mirror, MirrorAugmentation
 from humoslope.rl.vec_env import RslRlVecEnv
 
-
 RELEASE_RATE = 1e-5
 """Learning rate at which a held actor begins to learn: the least that the adaptive rule of rsl_rl's PPO knows, which
 raises it within an iteration to what the change of the policy allows. Adam's first step moves every weight by the
