@@ -7,7 +7,7 @@ from pathlib import Path
 
 import humoslope
 from humoslope.errors import UserError
-from humoslope.evaluation.calibration import load_calibration
+from humoslope.evaluation.calibration_file import calibration_path, check_belongs, load_calibration
 from humoslope.registry import WarmStart
 from humoslope.rl import checkpoint
 from humoslope.rl.policy import find_checkpoint
@@ -57,14 +57,14 @@ def find_origin(start: WarmStart | None, init: str, calibration: str) -> Origin:
         return Origin(path)
     if calibration == PRIOR:
         return Origin(path, calibration="Swing calibration: the prior, as configured.")
-    file = Path(calibration) if calibration else path.with_suffix(".swing.json")
+    file = Path(calibration) if calibration else calibration_path(path)
     if not calibration and not file.is_file():
         raise UserError(
             f"there is no swing calibration '{file}'; make it with `make calibrate CHECKPOINT={path}`, name another "
             f"with --calibration, or take the documented prior with --calibration {PRIOR}."
         )
     swing, measured = load_calibration(file)
-    measured.check_belongs(path)
+    check_belongs(measured, path, checkpoint.digest(path))
     prefix = f"--env.rewards.{start.calibrated.replace('_', '-')}.params."
     options = [word for name, value in vars(swing).items() for word in (prefix + name.replace("_", "-"), repr(value))]
     told = ", ".join(f"{name} {value:.4g}" for name, value in vars(swing).items())
