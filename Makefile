@@ -2,10 +2,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+ROLLOUT ?= experiments/rollouts/stage1_up30.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 train-stage2 ramps calibrate curve terrain list bench test lint types check format clean
+.PHONY: help setup train-stage1 train-stage2 ramps calibrate curve record replay video terrain list bench test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -34,6 +35,15 @@ calibrate: $(STAMP) ## Fit the swing reference of Stage II to the Stage-I CHECKP
 
 curve: $(STAMP) ## Draw the learning curve of RUN, a run folder
 	$(BIN)/humoslope curve $(call need,RUN,logs/...) $(ARGS)
+
+record: $(STAMP) ## Let CHECKPOINT walk once; ARGS="--terrain ramp-up --grade 30" says where
+	$(BIN)/humoslope record $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
+
+replay: $(STAMP) ## Show ROLLOUT (by default a shipped one) in rerun; ARGS=--web in a browser
+	$(BIN)/humoslope replay $(ROLLOUT) $(ARGS)
+
+video: $(STAMP) ## Make an mp4 and a contact sheet of ROLLOUT, without a display
+	$(BIN)/humoslope video $(ROLLOUT) $(ARGS)
 
 terrain: $(STAMP) ## Draw the terrain NAME to a PNG
 	$(BIN)/humoslope terrain $(call need,NAME,ramp-up) $(ARGS)

@@ -45,7 +45,9 @@ def camera(eye: tuple[float, float, float], target: tuple[float, float, float], 
 
 def test_the_middle_of_the_picture_is_what_the_camera_looks_at_and_its_edge_half_the_view_away() -> None:
     eye, target = np.array((1.0, -4.0, 2.0)), np.array((0.5, 0.3, -0.2))
-    rays = camera(tuple(eye), tuple(target)).rays(np.array([SIZE / 2] * 2, np.float32), np.array([SIZE / 2, 0], np.float32))
+    rays = camera(tuple(eye), tuple(target)).rays(
+        np.array([SIZE / 2] * 2, np.float32), np.array([SIZE / 2, 0], np.float32)
+    )
     np.testing.assert_allclose(rays[0], (target - eye) / np.linalg.norm(target - eye), atol=1e-6)
     assert math.degrees(math.acos(rays[0] @ rays[1])) == pytest.approx(20.0, abs=0.01)
     assert rays[1][2] > rays[0][2]  # the first row is the upper one
@@ -107,7 +109,9 @@ def test_shapes_are_joined_and_moved_as_wholes() -> None:
 
 def test_the_drawn_ground_is_as_high_as_the_one_that_is_walked_on(rollout: Rollout) -> None:
     header, heights = rollout.header["terrain"], rollout.terrain_heights
-    terrain = Terrain(heights, header["cell"], tuple(header["origin"]), np.zeros((1, 1, 3)), ("",), np.zeros((1, 1)), 1, 1)
+    terrain = Terrain(
+        heights, header["cell"], tuple(header["origin"]), np.zeros((1, 1, 3)), ("",), np.zeros((1, 1)), 1, 1
+    )
     rng = np.random.default_rng(0)
     x0, y0 = header["tile_origin"][:2]
     x = x0 + rng.uniform(0.0, header["tile_length"], 500)

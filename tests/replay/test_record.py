@@ -34,7 +34,7 @@ def test_a_fall_is_recorded_as_it_is_and_the_robot_starts_anew_after_it(rollout:
     assert falls
     for event in falls:
         row = round(event.time / 0.02) - 1
-        w, x, y, z = columns.root_quat_w[row]
+        _, x, y, _ = columns.root_quat_w[row]
         tilt = math.degrees(math.acos(1.0 - 2.0 * (x**2 + y**2)))
         assert tilt > 54.0 or columns.root_height[row] < 0.41
         if row + 1 < len(columns):
@@ -57,7 +57,7 @@ def test_pushes_come_when_and_as_hard_as_was_asked(rollout: Rollout) -> None:
         before = round(push.time / 0.02) - 1
         jump = np.diff(rollout.columns.root_lin_vel_w[before : before + 2, :2], axis=0)[0]
         along = jump @ (math.cos(math.radians(float(angle))), math.sin(math.radians(float(angle))))
-        assert along == pytest.approx(float(size), abs=0.4)  # a control step later the feet have done something about it
+        assert along == pytest.approx(float(size), abs=0.4)  # feet answer within a control step
 
 
 def test_the_zero_moment_point_lies_on_the_support_plane_and_the_anchor_at_the_feet(rollout: Rollout) -> None:

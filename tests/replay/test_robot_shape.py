@@ -73,6 +73,7 @@ def test_a_urdf_that_cannot_be_read_is_said_in_one_sentence() -> None:
 
 
 def test_a_link_without_a_way_to_the_root_is_named(rollout: Rollout) -> None:
-    urdf = "<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent link='a'/><child link='b'/></joint></robot>"
+    joint = "<joint name='j' type='fixed'><parent link='a'/><child link='b'/></joint>"
+    urdf = f"<robot name='r'><link name='a'/><link name='b'/>{joint}</robot>"
     with pytest.raises(UserError, match="does not connect 'b'"):
         RobotShape(urdf).poses(rollout)

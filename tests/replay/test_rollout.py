@@ -52,7 +52,7 @@ def test_what_is_saved_is_loaded(rollout: Rollout, tmp_path: Path) -> None:
     assert again.header["checkpoint"]["sha256"] == "ab" * 32
 
 
-def test_a_minute_on_the_longest_ground_takes_less_than_10_MB_whatever_happens(rollout: Rollout, tmp_path: Path) -> None:
+def test_a_minute_on_the_track_takes_less_than_10_MB_whatever_happens(rollout: Rollout, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     sizes = {"J": len(rollout.joint_names), "R": len(rollout.header["reward_terms"])}
     noise = {

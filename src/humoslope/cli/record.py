@@ -46,8 +46,8 @@ def run(arguments: list[str]) -> None:
     env = ManagerBasedRlEnv(record_env_cfg(build_task(provenance.task).env, protocol))
     actor = load_actor(path, env, provenance.task)
     console.print(
-        f"{provenance.task}, iteration {provenance.iteration}: {protocol.terrain} at {grade:g}°, {protocol.speed:g} m/s, "
-        f"{protocol.seconds:g} s; physics '{env.sim.backend}', {env.cfg.sim.timestep * 1e3:g} ms x "
+        f"{provenance.task}, iteration {provenance.iteration}: {protocol.terrain} at {grade:g}°, "
+        f"{protocol.speed:g} m/s, {protocol.seconds:g} s; physics '{env.sim.backend}', {env.cfg.sim.timestep * 1e3:g} ms x "
         f"{env.cfg.sim.decimation}, {env.cfg.sim.cone} cone",
         highlight=False,
         soft_wrap=True,

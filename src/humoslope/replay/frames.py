@@ -64,7 +64,12 @@ class Frames:
         )
         below = margin + round(0.055 * self._height)
         told = f"{time:.1f} s   {columns.root_lin_vel_t[step, 0]:.2f} m/s of {columns.command[step, 0]:.2f} asked   "
-        draw.text((margin, below), f"{told}ground {round(math.degrees(columns.slope[step])):+d}°", font=self._small, fill=FAINT)
+        draw.text(
+            (margin, below),
+            f"{told}ground {round(math.degrees(columns.slope[step])):+d}°",
+            font=self._small,
+            fill=FAINT,
+        )
         recent = [event for event in self._rollout.events if 0.0 <= time - event.time < EVENT_S]
         for line, event in enumerate(recent):
             place = (margin, below + (line + 1) * round(0.05 * self._height))

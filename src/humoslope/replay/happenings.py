@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -71,4 +72,4 @@ def segments(columns: Columns, start_x: float, names: Sequence[str], ends: Seque
 def _runs(values: NDArray[np.int64]) -> list[tuple[int, int]]:
     """First row, and row after the last, of each stretch of equal values."""
     cuts = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
-    return list(zip(cuts[:-1], cuts[1:], strict=True))
+    return list(itertools.pairwise(cuts))

@@ -8,11 +8,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
+from humoslope.errors import UserError
 from humoslope.replay.shape import Shape
+
+try:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+except ImportError:
+    raise UserError("video needs the package embreex, which is not there for this kind of machine.") from None
 
 Array = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -65,15 +70,15 @@ class Solid:
 
     def __init__(self, shape: Shape) -> None:
         self._shape = shape
-        self._colours = (shape.colours / np.float32(255.0)) ** np.float32(GAMMA)
+        self._colours: Array = (shape.colours.astype(np.float32) / 255.0) ** np.float32(GAMMA)
         self._scene = EmbreeScene()
         TriangleMesh(self._scene, np.ascontiguousarray(shape.vertices), np.ascontiguousarray(shape.triangles))
         low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
         self._centre, self._radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
 
     def meet(self, origins: Array, rays: Array) -> tuple[Array, NDArray[np.int32], Array, Array]:
-        """Where each ray [P, 3] meets the shape first: distance [P] (infinite where it does not), triangle [P] (-1), and
-        the two coordinates [P] in the triangle."""
+        """Where each ray [P, 3] meets the shape first: distance [P] (infinite where it does not), triangle [P] (-1),
+        and the two coordinates [P] in the triangle."""
         distance = np.full(len(rays), np.inf, np.float32)
         triangle = np.full(len(rays), -1, np.int32)
         u, v = np.zeros_like(distance), np.zeros_like(distance)
@@ -99,10 +104,10 @@ class Solid:
         return np.flatnonzero(np.einsum("ij,ij->i", to_centre, to_centre) - along**2 < self._radius**2)
 
     def surface(self, triangle: NDArray[np.int32], u: Array, v: Array) -> tuple[Array, Array]:
-        """Normal, evened out between the corners, and colour, that of the first corner, [P, 3] at places in triangles."""
+        """At places in triangles: normal [P, 3], evened out between the corners, and the first corner's colour."""
         corners = self._shape.triangles[triangle]
         weights = np.stack([1.0 - u - v, u, v], axis=1)[:, :, None].astype(np.float32)
-        normal = (self._shape.normals[corners] * weights).sum(axis=1)
+        normal: Array = (self._shape.normals[corners] * weights).sum(axis=1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
         return normal, self._colours[corners[:, 0]]
 

@@ -21,7 +21,7 @@ from humoslope.mdp.balance import ZmpRegulariser
 from humoslope.mdp.gait import ComHeight
 from humoslope.replay import happenings
 from humoslope.replay.recorder import Pushes, Recorder
-from humoslope.replay.rollout import Rollout
+from humoslope.replay.rollout import Event, Rollout
 from humoslope.rl.policy import Provenance
 from humoslope.rl.rundir import git_state, plain
 from humoslope.terrain import registry
@@ -90,7 +90,9 @@ class RecordProtocol:
         if self.grade is None:
             return min(max(USUAL_GRADE, low), high)
         if not low <= self.grade <= high:
-            raise UserError(f"terrain '{self.terrain}': grade {self.grade:g} must be between {low:g} and {high:g} degrees.")
+            raise UserError(
+                f"terrain '{self.terrain}': grade {self.grade:g} must be between {low:g} and {high:g} degrees."
+            )
         return self.grade
 
     def ground(self) -> TileRow:
@@ -155,7 +157,7 @@ def record(
         pushes: Pushes = env.events["push"]
         events += happenings.pushes([(steps * env.step_dt, x, y) for steps, x, y in pushes.kicks])
     if recorder.ended:
-        events.append(happenings.Event(float(columns.time[-1]), "end", "end of the ground"))
+        events.append(Event(float(columns.time[-1]), "end", "end of the ground"))
     header = {
         "dt": env.step_dt,
         "physics": plain(sim) | {"backend": env.sim.backend, "device": str(env.device)},

@@ -104,6 +104,7 @@ class Recorder(StatefulTerm):
         arrays = {name: torch.stack([row[name] for row in rows]).numpy() for name in rows[0]}
         return Columns(time=(np.arange(1, len(rows) + 1) * dt).astype(np.float32), **arrays)
 
+
 class Pushes(StatefulTerm):
     """Interval event: `events.push`, remembered. There must be a `Recorder` called "recorder".
 

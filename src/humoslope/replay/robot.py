@@ -88,7 +88,7 @@ def _shape(urdf: yourdfpy.URDF, link: str) -> Shape:
         part.apply_transform(pose)
         parts.append(part)
         colours.append(np.tile(drawn.visual.main_color[:3], (len(part.vertices), 1)))
-    whole = trimesh.util.concatenate(parts)
+    whole: Any = trimesh.util.concatenate(parts)
     return Shape(
         vertices=whole.vertices.astype(np.float32),
         normals=whole.vertex_normals.astype(np.float32),

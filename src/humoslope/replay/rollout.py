@@ -15,7 +15,8 @@ A reader of format 1 may ignore what it does not know; a column that changes its
     physics                 backend, timestep, decimation, cone
     dt                      control step, s
     protocol                what was asked for: speed, seconds, friction, pushes, seed
-    robot                   name, urdf (the whole text), root, joint_names, default_joint_pos, action_scale, effort_limit
+    robot                   name, urdf (the whole text), root (its link), joint_names, default_joint_pos, action_scale,
+                            effort_limit
     reward_terms            names of the columns of `reward`
     terrain                 name, grade (degrees), cell, origin [x, y of heights[0, 0]], tile_origin, tile_length,
                             tile_width
@@ -116,9 +117,9 @@ SCALARS = ("time", "root_height", "com_height", "com_height_target", "slope", "b
 MASKS = ("uphill", "downhill", "zmp_valid")
 WIDTHS: dict[str, tuple[int | str, ...]] = {
     **{field.name: (3,) for field in fields(Columns)},
-    **{name: () for name in (*SCALARS, *MASKS, "episode")},
-    **{name: ("J",) for name in ("joint_pos", "joint_vel", "joint_torque", "action")},
-    **{name: (2, 3) for name in ("foot_pos_w", "foot_force_w")},
+    **dict.fromkeys((*SCALARS, *MASKS, "episode"), ()),
+    **dict.fromkeys(("joint_pos", "joint_vel", "joint_torque", "action"), ("J",)),
+    **dict.fromkeys(("foot_pos_w", "foot_force_w"), (2, 3)),
     "root_quat_w": (4,),
     "reward": ("R",),
 }
@@ -220,5 +221,9 @@ def _check_arrays(path: Path, header: dict[str, Any], arrays: dict[str, NDArray[
         if found != shape:
             has = "is missing" if found is None else f"has shape {found}"
             raise UserError(f"rollout '{path}' is broken: '{name}' {has}; it must have shape {shape}.")
-    if "terrain_heights" not in arrays or arrays["terrain_heights"].ndim != 2 or min(arrays["terrain_heights"].shape) < 2:
+    if (
+        "terrain_heights" not in arrays
+        or arrays["terrain_heights"].ndim != 2
+        or min(arrays["terrain_heights"].shape) < 2
+    ):
         raise UserError(f"rollout '{path}' is broken: 'terrain_heights' must be a grid of heights.")

@@ -17,7 +17,7 @@ from humoslope.replay.colours import Colour
 from humoslope.replay.follow import follow
 from humoslope.replay.ground import ground_shape
 from humoslope.replay.robot import RobotShape
-from humoslope.replay.rollout import Rollout
+from humoslope.replay.rollout import Mask, Rollout
 from humoslope.replay.shape import Shape
 
 TIME, STEP = "time", "step"
@@ -102,7 +102,7 @@ class Scene:
         if known.any():
             self._bars("world/com/target", target, colours.TARGET, known)
 
-    def _bars(self, path: str, centres: Array, colour: Colour, there: Array | None = None) -> None:
+    def _bars(self, path: str, centres: Array, colour: Colour, there: Mask | None = None) -> None:
         """Level bars across the robot at `centres` [T, 3]."""
         columns = self._rollout.columns
         level = np.broadcast_to(np.array((0.0, 0.0, 1.0), np.float32), centres.shape)
@@ -147,20 +147,22 @@ class Scene:
 
     def _moves(self, path: str, position: Array, rotation: Array) -> None:
         quaternion = Rotation.from_matrix(rotation).as_quat()  # (x, y, z, w), as rerun has it too
-        where = rr.Transform3D.columns(translation=position.astype(np.float32), quaternion=quaternion.astype(np.float32))
+        where = rr.Transform3D.columns(
+            translation=position.astype(np.float32), quaternion=quaternion.astype(np.float32)
+        )
         self._columns(path, where)
 
     def _arrows(self, path: str, origins: Array, vectors: Array, colour: Colour) -> None:
         self._static(path, rr.Arrows3D.from_fields(colors=[colour], radii=[0.012]))
         self._columns(path, rr.Arrows3D.columns(origins=origins, vectors=vectors))
 
-    def _points(self, path: str, places: Array, colour: Colour, radius: float, there: Array | None = None) -> None:
+    def _points(self, path: str, places: Array, colour: Colour, radius: float, there: Mask | None = None) -> None:
         """Points at `places` [T, 3] at the steps at which they are `there` [T]."""
         shown = np.ones(len(places), bool) if there is None else there
         self._static(path, rr.Points3D.from_fields(colors=[colour], radii=[radius]))
         self._columns(path, rr.Points3D.columns(positions=places[shown]).partition(shown.astype(np.int32)))
 
-    def _lines(self, path: str, ends: Array, colour: Colour, radius: float, there: Array | None = None) -> None:
+    def _lines(self, path: str, ends: Array, colour: Colour, radius: float, there: Mask | None = None) -> None:
         """Lines between `ends` [T, 2, 3] at the steps at which they are `there` [T]."""
         shown = np.ones(len(ends), bool) if there is None else there
         self._static(path, rr.LineStrips3D.from_fields(colors=[colour], radii=[radius]))

@@ -37,6 +37,8 @@ def joined(shapes: Sequence[Shape]) -> Shape:
     return Shape(
         vertices=np.concatenate([shape.vertices for shape in shapes]),
         normals=np.concatenate([shape.normals for shape in shapes]),
-        triangles=np.concatenate([shape.triangles + i for shape, i in zip(shapes, first, strict=True)]).astype(np.int32),
+        triangles=np.concatenate([shape.triangles + i for shape, i in zip(shapes, first, strict=True)]).astype(
+            np.int32
+        ),
         colours=np.concatenate([shape.colours for shape in shapes]),
     )
