@@ -47,8 +47,8 @@ def run(arguments: list[str]) -> None:
     actor = load_actor(path, env, provenance.task)
     console.print(
         f"{provenance.task}, iteration {provenance.iteration}: {protocol.terrain} at {grade:g}°, "
-        f"{protocol.speed:g} m/s, {protocol.seconds:g} s; physics '{env.sim.backend}', {env.cfg.sim.timestep * 1e3:g} ms x "
-        f"{env.cfg.sim.decimation}, {env.cfg.sim.cone} cone",
+        f"{protocol.speed:g} m/s, {protocol.seconds:g} s; physics '{env.sim.backend}', "
+        f"{env.cfg.sim.timestep * 1e3:g} ms x {env.cfg.sim.decimation}, {env.cfg.sim.cone} cone",
         highlight=False,
         soft_wrap=True,
     )
