@@ -19,6 +19,7 @@ from rich.live import Live
 from torch import Tensor
 
 import humoslope
+from humoslope.cli.measure import warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation import saved
@@ -185,8 +186,7 @@ def _conclude(
         console.print(_say(limit, protocol))
     for evaluation in evaluations:
         console.print(evaluation.source.training, soft_wrap=True, highlight=False)
-        for warning in evaluation.env.sim.warnings():
-            console.print(f"[yellow]physics: {warning}[/yellow]")
+        warn(console, evaluation.env.sim.warnings())
     report = _report(evaluations, trials, options) | {
         "partial": partial,
         "slope_limit": None if limit is None else plain(limit),
@@ -217,7 +217,7 @@ def _report(evaluations: list[_Evaluation], trials: HeldOutTrials, options: Opti
         "what": "sweep" if options.sweep else "held-out",
         "version": humoslope.__version__,
         "code": git_state().splitlines()[0],
-        "checkpoints": [plain(vars(e.source) | {"path": str(e.source.path)}) for e in evaluations],
+        "checkpoints": [plain(e.source) for e in evaluations],
         "protocol": plain(options.protocol),
         "lanes": options.lanes,
         "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},

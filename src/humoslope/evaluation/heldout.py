@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
-from humoslope.env import EnvCfg, ManagerBasedRlEnv, SceneCfg
+from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.evaluation import streams
 from humoslope.evaluation.metrics import StepSample, TrackRecorder, TrackTrials
 from humoslope.evaluation.physics import measuring_physics
@@ -219,7 +219,7 @@ def held_out_env_cfg(task_env: EnvCfg, relay: Relay) -> EnvCfg:
     protocol = relay.protocol
     actor = dataclasses.replace(task_env.observations.actor, corrupt=protocol.noise, noise_source=relay.noise)
     return EnvCfg(
-        scene=SceneCfg(robot=task_env.scene.robot, terrain=relay.course.ground(protocol.grades)),
+        scene=dataclasses.replace(task_env.scene, terrain=relay.course.ground(protocol.grades)),
         sim=measuring_physics(task_env.sim, protocol.timestep, "evaluate"),
         num_envs=protocol.num_cells * relay.lanes,
         episode_length_s=protocol.timeout_s,
