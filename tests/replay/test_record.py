@@ -105,6 +105,13 @@ def test_the_ground_is_long_enough_for_a_robot_that_is_half_as_fast_again() -> N
     assert RecordProtocol(seconds=1.0).ground().tile_length == 10.0
 
 
+def test_the_held_out_track_is_walked_as_it_is_and_its_segments_are_events(walk: Callable[..., Rollout]) -> None:
+    rollout = walk("HumoSlope-Stage1-Unitree-G1", RecordProtocol(terrain="held-out-track", grade=10.0, seconds=0.1))
+    terrain = rollout.header["terrain"]
+    assert (terrain["tile_length"], terrain["cell"]) == (35.0, 0.05)
+    assert [event.text for event in rollout.events] == ["start"]
+
+
 def test_the_usual_grade_is_20_degrees_or_the_nearest_that_there_is() -> None:
     assert RecordProtocol(terrain="ramp-up").resolve_grade() == 20.0
     assert RecordProtocol(terrain="flat").resolve_grade() == 0.0

@@ -21,10 +21,10 @@ from humoslope.mdp.balance import ZmpRegulariser
 from humoslope.mdp.gait import ComHeight
 from humoslope.replay import happenings
 from humoslope.replay.recorder import Pushes, Recorder
-from humoslope.replay.rollout import Event, Rollout
+from humoslope.replay.rollout import Columns, Event, Rollout
 from humoslope.rl.policy import Provenance
 from humoslope.rl.rundir import git_state, plain
-from humoslope.terrain import registry
+from humoslope.terrain import course, registry
 from humoslope.terrain.grid import SPAWN_X, Tile, TileRow
 
 USUAL_GRADE = 20.0
@@ -43,7 +43,7 @@ class RecordProtocol:
         terrain: A registered terrain, or a course such as the held-out track.
         grade: Of that terrain, degrees; by default 20, or the nearest that it has.
         level: Difficulty in [0, 1] instead of a grade.
-        seconds: Length of the recording, s; it ends earlier where the ground does.
+        seconds: Length of the recording, s; it ends earlier where the ground does. The held-out track takes some 70 s.
         speed: Commanded forward speed, m/s.
         push: Largest change of the root's velocity by a push, m/s along each axis; 0 for none.
         push_every: Time between pushes, s.
@@ -96,7 +96,9 @@ class RecordProtocol:
         return self.grade
 
     def ground(self) -> TileRow:
-        """The terrain at its grade, long enough for the walk."""
+        """The terrain at its grade: a course as it is, any other terrain long enough for the walk."""
+        if course.is_course(self.terrain):
+            return course.find(self.terrain).ground((self.resolve_grade(),))
         length = max(SHORTEST, math.ceil(SPAWN_X + ROOM * self.speed * self.seconds))
         return TileRow([Tile(registry.find(self.terrain), self.resolve_grade())], tile_length=float(length))
 
@@ -150,39 +152,55 @@ def record(
             if recorder.ended:
                 break
     columns = recorder.columns(env.step_dt)
-    terrain, robot, sim = env.cfg.scene.terrain.build(), env.robot, env.cfg.sim
-    start = terrain.tile_origin[0, 0]
-    events = [*happenings.falls(columns, recorder.fell), *happenings.grounds(columns, env.step_dt)]
-    if protocol.push:
-        pushes: Pushes = env.events["push"]
-        events += happenings.pushes([(steps * env.step_dt, x, y) for steps, x, y in pushes.kicks])
-    if recorder.ended:
-        events.append(Event(float(columns.time[-1]), "end", "end of the ground"))
+    terrain = env.cfg.scene.terrain.build()
     header = {
         "dt": env.step_dt,
-        "physics": plain(sim) | {"backend": env.sim.backend, "device": str(env.device)},
+        "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
         "protocol": plain(protocol),
-        "robot": {
-            "name": robot.name,
-            "urdf": robot.urdf.read_text(encoding="utf-8"),
-            "root": robot.root_body,
-            "joint_names": list(robot.joint_names),
-            "default_joint_pos": list(robot.default_joint_pos),
-            "action_scale": [scale * env.cfg.actions.scale_factor for scale in robot.action_scale],
-            "effort_limit": list(robot.effort_limit),
-        },
+        "robot": _describe_robot(env),
         "reward_terms": env.rewards.names,
         "terrain": {
             "name": protocol.terrain,
             "grade": float(terrain.grade[0, 0]),
             "cell": terrain.cell,
             "origin": list(terrain.origin),
-            "tile_origin": start.tolist(),
+            "tile_origin": terrain.tile_origin[0, 0].tolist(),
             "tile_length": terrain.tile_length,
             "tile_width": terrain.tile_width,
         },
     }
-    return Rollout(header, columns, terrain.heights, tuple(sorted(events)))
+    return Rollout(header, columns, terrain.heights, _events(env, protocol, columns))
+
+
+def _describe_robot(env: ManagerBasedRlEnv) -> dict[str, Any]:
+    robot = env.robot
+    return {
+        "name": robot.name,
+        "urdf": robot.urdf.read_text(encoding="utf-8"),
+        "root": robot.root_body,
+        "joint_names": list(robot.joint_names),
+        "default_joint_pos": list(robot.default_joint_pos),
+        "action_scale": [scale * env.cfg.actions.scale_factor for scale in robot.action_scale],
+        "effort_limit": list(robot.effort_limit),
+    }
+
+
+def _events(env: ManagerBasedRlEnv, protocol: RecordProtocol, columns: Columns) -> tuple[Event, ...]:
+    """What happened, in the order of time. On a course its segments tell of the ground, elsewhere the fitted plane."""
+    recorder: Recorder = env.events["recorder"]
+    events = happenings.falls(columns, recorder.fell)
+    if course.is_course(protocol.terrain):
+        track = course.find(protocol.terrain)
+        names = [segment.name for segment in track.segments]
+        events += happenings.segments(columns, float(env.tiles.origin_w[0, 0]), names, track.ends)
+    else:
+        events += happenings.grounds(columns, env.step_dt)
+    if protocol.push:
+        pushes: Pushes = env.events["push"]
+        events += happenings.pushes([(steps * env.step_dt, x, y) for steps, x, y in pushes.kicks])
+    if recorder.ended:
+        events.append(Event(float(columns.time[-1]), "end", "end of the ground"))
+    return tuple(sorted(events))
 
 
 def signed(rollout: Rollout, provenance: Provenance, label: str) -> Rollout:
