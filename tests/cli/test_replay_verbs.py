@@ -69,8 +69,8 @@ def test_video_writes_a_video_and_a_contact_sheet(
 
 def test_a_sheet_alone_is_soon_there(walked: Path) -> None:
     assert main(["video", str(walked), "--sheet-only", "--width", "96", "--height", "64", "--workers", "1"]) == 0
-    assert walked.with_name("model_0.rough-ramp-up-15.rollout.png").is_file()
-    assert not walked.with_name("model_0.rough-ramp-up-15.rollout.mp4").exists()
+    assert walked.with_name("model_0.rough-ramp-up-15.png").is_file()
+    assert not walked.with_name("model_0.rough-ramp-up-15.mp4").exists()
 
 
 @pytest.mark.parametrize("verb", ["replay", "video"])

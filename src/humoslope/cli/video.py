@@ -37,7 +37,8 @@ def run(arguments: list[str]) -> None:
     """Draws the rollout named in `arguments`."""
     options = tyro.cli(Options, args=arguments, prog="humoslope video")
     rollout, cfg, console = load_rollout(options.rollout), options.video, Console()
-    out = options.out or options.rollout.with_name(options.rollout.name.removesuffix(".npz")).with_suffix(".mp4")
+    stem = options.rollout.name.removesuffix(".npz").removesuffix(".rollout")
+    out = options.out or options.rollout.with_name(f"{stem}.mp4")
     if out.suffix != ".mp4":
         raise UserError(f"--out '{out}' must end in .mp4.")
     sheet = out.with_suffix(".png")
