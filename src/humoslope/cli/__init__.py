@@ -19,6 +19,7 @@ VERBS = {
     "record": "Let a checkpoint walk once and keep the walk in a file.",
     "replay": "Show a recorded walk in rerun.",
     "video": "Make a video and a contact sheet of a recorded walk.",
+    "meshes": "Fetch the real meshes of a robot, for replay and video.",
     "bench": "Measure speed and memory.",
 }
 """Each verb is `run(arguments)` in the module of its name."""
