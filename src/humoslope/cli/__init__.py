@@ -14,6 +14,8 @@ VERBS = {
     "terrain": "Draw a terrain to a PNG.",
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
     "curve": "Draw the learning curve of a run.",
+    "export": "Export a checkpoint to ONNX and a contract.",
+    "play": "Walk with an exported policy in plain MuJoCo.",
     "bench": "Measure speed and memory.",
 }
 """Each verb is `run(arguments)` in the module of its name."""

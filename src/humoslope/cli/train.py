@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shlex
 from datetime import datetime
 from pathlib import Path
 
 import torch
 from rich.console import Console
 
-from humoslope.cli.options import early, parse
+from humoslope.cli.options import early, parse, saved_options
 from humoslope.cli.overrides import merge_options
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
@@ -55,7 +54,7 @@ def run(arguments: list[str]) -> None:
     which = early(TrainArgs(), task, options).resume
     resumed = find_run(task, which) if which else None
     if resumed is not None:
-        options = merge_options(_saved_options(resumed), options)
+        options = merge_options(saved_options(resumed), options)
     cfg, args = parse(TrainArgs(), task, options)
     # A resumed run keeps its scale on any machine.
     kept = merge_options(options, ["--preset", args.preset], without=("--resume", "--run-dir", "--init"))
@@ -116,8 +115,3 @@ def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Pat
         f"{env.tiles.num_levels} levels; run folder {run_dir}"
     )
     env.describe(console)
-
-
-def _saved_options(run_dir: Path) -> list[str]:
-    file = run_dir / "options.txt"
-    return shlex.split(file.read_text(encoding="utf-8")) if file.is_file() else []
