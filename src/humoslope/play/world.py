@@ -155,8 +155,8 @@ def _named(element: Any, kind: str, name: str, known: Iterable[Any]) -> Any:
 def _add_drives(spec: mujoco.MjSpec, contract: Contract) -> None:
     """Position actuators from the contract's gains and limits, in its order.
 
-    Their force is the contract's torque. MuJoCo's integrator takes the damping implicitly, at the end of a step. Torques
-    computed outside, at its start, walk as well, but after a second the joints are up to 0.2 rad elsewhere.
+    Their force is the contract's torque. MuJoCo's integrator takes the damping implicitly, at the end of a step.
+    Torques computed outside, at its start, walk as well, but after a second joints are up to 0.2 rad elsewhere.
     """
     for joint in contract.joints:
         _named(spec.joint(joint.name), "joint", joint.name, spec.joints).armature = joint.armature_kg_m2
