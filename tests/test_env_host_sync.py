@@ -13,7 +13,10 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from humoslope.env import ManagerBasedRlEnv
+from humoslope.env import EnvCfg, ManagerBasedRlEnv
+from humoslope.managers import ObservationTerm
+from humoslope.mdp import observations
+from humoslope.slope.descriptor import phi5
 
 aten = torch.ops.aten
 
@@ -112,7 +115,10 @@ def no_host_sync(env: ManagerBasedRlEnv, patch: pytest.MonkeyPatch) -> Iterator[
 def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
     make_stage1: Callable[..., ManagerBasedRlEnv], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    env = make_stage1(16)
+    def change(cfg: EnvCfg) -> None:
+        cfg.observations.critic.terms.terrain_descriptor = ObservationTerm(observations.terrain_descriptor)
+
+    env = make_stage1(16, change)
     actions = [0.3 * torch.randn(16, 29) for _ in range(20)]
     for action in actions[:12]:
         env.step(action)
@@ -144,6 +150,8 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
     assert env.take_wreck() is not None
     assert reward.isfinite().all()
     assert obs["actor"].isfinite().all()
+    assert env.patch.descriptor.valid.all()
+    assert obs["critic"][:, -5:].equal(phi5(env.patch.descriptor))
 
 
 X = torch.arange(4.0)

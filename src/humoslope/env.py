@@ -32,6 +32,7 @@ from humoslope.managers import (
     Terms,
     VelocityCommand,
 )
+from humoslope.scene.patch import GroundPatch, PatchCfg
 from humoslope.scene.robot import Robot
 from humoslope.scene.scene import build_model
 from humoslope.scene.signals import Signals
@@ -67,10 +68,11 @@ class SimCfg(Strict):
 
 @dataclass
 class SceneCfg(Strict):
-    """The robot and the ground it walks on."""
+    """The robot, the ground it walks on, and what is scanned of it."""
 
     robot: Robot
     terrain: TerrainGrid | TileRow
+    patch: PatchCfg = field(default_factory=PatchCfg)
 
 
 @dataclass
@@ -124,6 +126,7 @@ class ManagerBasedRlEnv:
         self.terrain = TerrainQueries(terrain, self.device)
         self.tiles = Tiles(terrain, cfg.num_envs, self.device)
         self.signals = Signals(self.sim, self.robot, self.terrain)
+        self.patch = GroundPatch(cfg.scene.patch, self.signals, self.terrain, self.tiles)
         self.default_joint_pos = torch.tensor(self.robot.default_joint_pos, device=self.device)  # [J] rad
         root = (0.0, 0.0, self.robot.default_root_height, 1.0, 0.0, 0.0, 0.0)
         self._default_qpos = torch.tensor([*root, *self.robot.default_joint_pos], device=self.device)  # [nq]

@@ -13,13 +13,15 @@ TASK = "HumoSlope-Stage1-Unitree-G1"
 
 
 def measured(task: str, typed: list[str], worlds: int) -> Measurement:
-    """A machine that steps 1,000 times a second for each world: env.step takes twice and PPO four times as long."""
+    """A machine that steps 1,000 times a second for each world: env.step takes twice and PPO four times as long, the
+    terrain descriptor a twentieth."""
     raw = 1000.0 * worlds
     return Measurement(
         worlds=worlds,
         raw=[raw] * 3,
         env=[raw / 2, raw / 2, raw / 10],
         ppo=[raw / 4] * 3,
+        descriptor_s=[5e-5, 5e-5, 2e-4],
         collection_s=[0.1] * 3,
         learning_s=[0.05] * 3,
         peak_mib=500.0 + worlds,
@@ -37,6 +39,7 @@ def test_the_table_shows_medians_shares_memory_and_relative_cost(capsys):
     rows = [line.replace("│", " ").split() for line in capsys.readouterr().out.splitlines()]
     assert ["256", "256,000", "128,000", "50%", "64,000", "25%", "100", "50", "756", "1.00"] in rows
     assert ["512", "512,000", "256,000", "50%", "128,000", "25%", "100", "50", "1,012", "0.50"] in rows
+    assert ["256", "0.05", "5.0%"] in rows
     assert ["physics", "75.0%"] in rows
 
 

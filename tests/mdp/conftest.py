@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 import torch
 
+from humoslope.scene.patch import GroundPatch, PatchCfg
 from humoslope.scene.scene import build_model
 from humoslope.scene.signals import Signals
+from humoslope.scene.tiles import Tiles
 from humoslope.terrain import TerrainGrid, TerrainQueries
 from humoslope.terrain.grid import Terrain
 from robots.unitree_g1 import UNITREE_G1
 
 
 class Posed:
-    """Signals of one world that reads what `put` wrote."""
+    """Signals and ground patch of one world that reads what `put` wrote."""
 
     def __init__(self, model: mujoco.MjModel, slope: float, uphill: float) -> None:
         self._model = model
@@ -29,7 +31,10 @@ class Posed:
         }
         self.put(root_quat_w=[1.0, 0.0, 0.0, 0.0], torso_quat_w=[1.0, 0.0, 0.0, 0.0])
         sim = SimpleNamespace(model=model, read=self._readings.__getitem__)
-        self.signals = Signals(sim, UNITREE_G1, TerrainQueries(plane(slope, uphill), "cpu"))
+        terrain = plane(slope, uphill)
+        queries, tiles = TerrainQueries(terrain, "cpu"), Tiles(terrain, 1, torch.device("cpu"))
+        self.signals = Signals(sim, UNITREE_G1, queries)
+        self.patch = GroundPatch(PatchCfg(), self.signals, queries, tiles)
 
     def put(self, **values: object) -> None:
         """Writes readings by sensor name ("left" and "right" of a pair: `foot_force_w={"left": ...}`)."""
@@ -39,6 +44,26 @@ class Posed:
                 sensor = self._model.sensor(f"{name}/{side}" if side else name)
                 columns = slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
                 self._readings["sensordata"][0, columns] = torch.as_tensor(np.array(vector), dtype=torch.float32)
+
+    def stand(self, **joints: float) -> None:
+        """Puts the G1 on the slope, the default pose but for these joints (rad), the lower sole on the ground."""
+        data = mujoco.MjData(self._model)
+        data.qpos[3:] = [1.0, 0.0, 0.0, 0.0, *UNITREE_G1.default_joint_pos]
+        for name, angle in joints.items():
+            data.joint(name).qpos = angle
+        for _ in range(2):  # the second time at the height that the first one found
+            data.qpos[2] -= self.signals.foot_height.min().item()
+            mujoco.mj_forward(self._model, data)
+            self._readings["sensordata"][0] = torch.as_tensor(data.sensordata, dtype=torch.float32)
+            self.signals.refresh()
+
+    def put_joints(self, vel: torch.Tensor, torque: torch.Tensor, pos: torch.Tensor | None = None) -> None:
+        """Writes the readings of all joints [J], rad/s, Nm and rad; without `pos` they stay where they are."""
+        self._readings["actuator_force"][0] = torque
+        for kind, values in (("joint_vel", vel), ("joint_pos", pos)):
+            if values is not None:
+                first = self._model.sensor(f"{kind}/{UNITREE_G1.joint_names[0]}").adr[0]
+                self._readings["sensordata"][0, first : first + len(values)] = values
 
 
 def plane(slope: float, uphill: float = 0.0) -> Terrain:
@@ -50,7 +75,7 @@ def plane(slope: float, uphill: float = 0.0) -> Terrain:
         heights=(math.tan(math.radians(slope)) * along).astype(np.float32),
         cell=0.1,
         origin=(-3.0, -3.0),
-        tile_origin=np.zeros((1, 1, 3)),
+        tile_origin=np.array([[[-3.0, 0.0, 0.0]]]),
         kind=("plane",),
         grade=np.full((1, 1), abs(slope)),
         tile_length=6.0,

@@ -48,10 +48,23 @@ def test_the_parts_of_a_step_are_shares_of_it(env):
     assert "step" not in vars(env.sim), "the timers are taken off again"
 
 
+def test_the_descriptor_is_made_anew_each_time_and_leaves_the_robots_as_they_are(env):
+    made, describe = [], env.terrain.height
+    qpos, obs = env.sim.state("qpos").clone(), env.observations.compute(torch.ones(env.num_envs, dtype=torch.bool))
+    size = (env.num_envs, env.cfg.scene.patch.size**2, 2)
+    with benchmark._hung(env.terrain, "height", lambda xy: made.append(xy.shape == size) or describe(xy)):
+        assert benchmark._descriptor_block(env) > 0.0
+    assert sum(made) == benchmark.BLOCK
+    assert env.sim.state("qpos").equal(qpos)
+    again = env.observations.compute(torch.zeros(env.num_envs, dtype=torch.bool))
+    assert again["critic"].equal(obs["critic"])
+
+
 def test_a_measurement_has_a_value_for_each_round(task, monkeypatch):
     monkeypatch.setattr(benchmark, "BLOCK", 2)
     result = benchmark.measure(task, parse(TrainArgs(), task, ["--preset", "cpu", "--env.num-envs", "4"])[0], rounds=2)
-    for values in (result.raw, result.env, result.ppo, result.collection_s, result.learning_s):
+    rounds = (result.raw, result.env, result.ppo, result.descriptor_s, result.collection_s, result.learning_s)
+    for values in rounds:
         assert len(values) == 2
         assert min(values) > 0.0
     assert result.peak_mib > 100.0

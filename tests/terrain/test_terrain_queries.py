@@ -115,22 +115,6 @@ def test_heights_agree_with_rays_over_the_whole_field_with_its_seams_border_and_
     np.testing.assert_allclose(found, heights, rtol=0, atol=1e-3)
 
 
-def test_scan_reads_the_heights_that_rays_find_around_a_turned_robot(
-    every_kind: Terrain, every_kind_world: World
-) -> None:
-    rng = np.random.default_rng(4)
-    xy = torch.from_numpy(rng.uniform(-8.0, 8.0, (40, 2)).astype(np.float32))
-    yaw = torch.from_numpy(rng.uniform(-4.0, 4.0, 40).astype(np.float32))
-    offsets = torch.cartesian_prod(torch.linspace(-0.6, 0.6, 7), torch.linspace(-0.6, 0.6, 7))
-    c, s = np.cos(yaw.numpy())[:, None], np.sin(yaw.numpy())[:, None]
-    forward, left = offsets.numpy().T
-    x, y = xy.numpy()[:, 0:1] + c * forward - s * left, xy.numpy()[:, 1:2] + s * forward + c * left
-    heights, _ = every_kind_world.drop(np.stack((x, y), axis=-1).reshape(-1, 2))
-    scan = TerrainQueries(every_kind, "cpu").scan(xy, yaw, offsets)
-    assert scan.shape == (40, 49)
-    np.testing.assert_allclose(scan.flatten(), heights, rtol=0, atol=1e-3)
-
-
 def test_a_small_sphere_centred_on_the_ground_sinks_in_by_its_radius() -> None:
     """Contacts, not only rays, use the triangles that the lookups read."""
     terrain = bumpy(5)
@@ -190,19 +174,6 @@ def test_lifting_the_ground_lifts_heights_and_leaves_normals(lift: float, seed: 
     torch.testing.assert_close(above.height(xy), below.height(xy) + lift, atol=1e-4, rtol=0)
     torch.testing.assert_close(above.normal(xy), below.normal(xy), atol=1e-3, rtol=0)
     torch.testing.assert_close(above.slope_normal(xy), below.slope_normal(xy), atol=1e-3, rtol=0)
-
-
-@settings(max_examples=30, deadline=None)
-@given(yaw=st.floats(-math.pi, math.pi), seed=st.integers(0, 9))
-def test_turning_the_robot_is_turning_what_it_looks_at(yaw: float, seed: int) -> None:
-    queries = TerrainQueries(bumpy(seed), "cpu")
-    offsets = torch.cartesian_prod(torch.linspace(-0.6, 0.6, 7), torch.linspace(-0.6, 0.6, 7))
-    c, s = math.cos(yaw), math.sin(yaw)
-    turned = offsets @ torch.tensor([[c, s], [-s, c]])
-    here, heading = torch.tensor([[0.1, -0.05]]), torch.tensor([yaw])
-    ahead = queries.scan(here, heading, offsets)
-    torch.testing.assert_close(ahead, queries.scan(here, torch.zeros(1), turned), atol=1e-4, rtol=0)
-    torch.testing.assert_close(ahead, queries.height(here + turned)[None], atol=1e-4, rtol=0)
 
 
 @settings(max_examples=30, deadline=None)

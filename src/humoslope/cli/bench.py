@@ -31,12 +31,12 @@ TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 worl
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Measures bare physics, env.step and the whole PPO loop in turn. All speeds are control steps of all worlds per
-    second; the bare physics is given the states and controls that env.step went through.
+    """Measures bare physics, env.step, the terrain descriptor and the whole PPO loop in turn. All speeds are control
+    steps of all worlds per second; the bare physics is given the states and controls that env.step went through.
 
     Attributes:
         sizes: Numbers of worlds. Each is measured in a process of its own, so that its peak memory is its own.
-        rounds: How often each of the three is measured; medians are shown.
+        rounds: How often each of them is measured; medians are shown.
         preset: Scale of everything but the number of worlds; "auto" for what the machine has.
         checkpoint: A trained actor that drives the robots, so that they touch the ground as in walking. Without one,
             actions are random.
@@ -76,7 +76,7 @@ def run(arguments: list[str]) -> None:
     for size in sorted(options.sizes):
         results.append(_measure_apart(task, typed, size))
         console.print(f"  {size} worlds: {median(results[-1].env):,.0f} steps/s", highlight=False)
-    console.print(speed_table(results), parts_table(results))
+    console.print(speed_table(results), descriptor_table(results), parts_table(results))
     if options.out:
         report = _report(task, typed, options, driver, load, results)
         write_text(Path(options.out), json.dumps(report, indent=2) + "\n")
@@ -121,6 +121,16 @@ def speed_table(results: list[Measurement]) -> Table:
             f"{r.peak_mib:,.0f}",
             f"{median(reference.env) / median(r.env):.2f}",
         )
+    return table
+
+
+def descriptor_table(results: list[Measurement]) -> Table:
+    """What the terrain descriptor costs; it is measured by itself, whether or not the task reads it."""
+    title = "Scan and terrain descriptor"
+    table = Table("worlds", "ms a step", "of raw", title=title, caption="of raw: share of the bare physics' step")
+    for r in results:
+        share = median(s * raw / r.worlds for s, raw in zip(r.descriptor_s, r.raw, strict=True))
+        table.add_row(str(r.worlds), f"{1e3 * median(r.descriptor_s):.2f}", f"{share:.1%}")
     return table
 
 

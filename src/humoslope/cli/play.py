@@ -72,7 +72,7 @@ def _introduction(contract: Contract, course: Course) -> str:
     timing, training, commands = contract.timing, contract.training, contract.commands
     ground = f"a ramp of {course.grade:g} degrees" if course.grade else "flat ground"
     text = (
-        f"[bold]{contract.task}[/bold], iteration {training.iteration}, on {contract.robot.name}\n"
+        f"[bold]{training.task}[/bold], iteration {training.iteration}, on {contract.robot.name}\n"
         f"{ground}, friction {course.friction:.3g}, {course.speed:g} m/s asked; MuJoCo at "
         f"{timing.physics_step_s * 1e3:g} ms x {contract.decimation}"
     )

@@ -5,7 +5,6 @@ Those of the first part are what the robot itself can measure; those of the seco
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import torch
@@ -14,6 +13,7 @@ from torch import Tensor
 from humoslope.mdp import mirror
 from humoslope.mdp.measured import measured_as
 from humoslope.mdp.mirror import mirrored_as
+from humoslope.slope.descriptor import phi5
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -95,27 +95,28 @@ def friction(env: Env) -> Tensor:
     return env.sim.expand("geom_friction")[:, geom, :1].to(torch.float32)
 
 
-@lru_cache(maxsize=16)
-def _grid(size: int, spacing: float, device: torch.device) -> Tensor:
-    """Square grid of `size` x `size` points around the origin, forward first, [size^2, 2] m."""
-    axis = (torch.arange(size, device=device) - 0.5 * (size - 1)) * spacing
-    return torch.stack(torch.meshgrid(axis, axis, indexing="ij"), dim=-1).view(-1, 2)
-
-
-def _scan_image(env: Env, size: int = 7, **params: object) -> mirror.Image:
+def _scan_image(env: Env, **params: object) -> mirror.Image:
+    size = env.patch.cfg.size
     index = torch.arange(size * size).view(size, size).flip(1).flatten()
     return index, torch.ones(size * size)
 
 
 @mirrored_as(_scan_image)
-def height_scan(env: Env, size: int = 7, spacing: float = 0.2, clip: float = 1.0) -> Tensor:
-    """H49: height of the root over a yaw-aligned grid of ground points, less its default, m, [N, size^2].
+def height_scan(env: Env, clip: float = 1.0) -> Tensor:
+    """H49: height of the root over the points of the ground patch, less its default, m, [N, P].
 
     Args:
-        size: Points along each side of the square grid centred below the root. 7 x 7 = 49.
-        spacing: Distance of the points, m. 0.2: one stride ahead at 0.5 m/s.
         clip: Largest absolute value, m.
     """
-    ground = env.signals.ground_scan(_grid(size, spacing, env.device))
-    height = env.signals.root_pos_w[:, 2:3] - ground - env.robot.default_root_height
+    height = env.signals.root_pos_w[:, 2:3] - env.patch.heights_w - env.robot.default_root_height
     return height.clamp(-clip, clip)
+
+
+def _descriptor_image(env: Env, **params: object) -> mirror.Image:
+    return torch.arange(5), torch.tensor([1.0, -1.0, 1.0, 1.0, 1.0])
+
+
+@mirrored_as(_descriptor_image)
+def terrain_descriptor(env: Env) -> Tensor:
+    """phi5 of the ground patch: slope, bank and |slope| in rad, and whether it goes up or down, [N, 5]."""
+    return phi5(env.patch.descriptor)

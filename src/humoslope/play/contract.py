@@ -32,15 +32,16 @@ class Training:
         iteration: Training iterations before it.
         environment_steps: Control steps seen, of all worlds together.
         harness: Scale in [0, 1] of the training harness at the end; null if there was none.
-        exported_by: Version and commit of the code that wrote the contract.
+        started_from: What the training went on from; null if from nothing.
     """
 
+    task: str
     checkpoint: str
     sha256: str
     iteration: int
     environment_steps: int
     harness: float | None
-    exported_by: str
+    started_from: Training | None
 
 
 @dataclass(frozen=True)
@@ -211,11 +212,16 @@ class Fall:
 
 @dataclass(frozen=True)
 class Contract:
-    """See the module. `conventions` holds for all of it."""
+    """See the module.
+
+    Attributes:
+        exported_by: Version and commit of the code that wrote it.
+        conventions: What holds for all of it.
+    """
 
     format: Literal["humoslope-policy"]
     version: int
-    task: str
+    exported_by: str
     conventions: str
     training: Training
     network: Network

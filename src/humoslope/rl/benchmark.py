@@ -20,12 +20,13 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.registry import TaskCfg
 from humoslope.rl.policy import load_actor
 from humoslope.rl.runner import Runner, seed_everything
+from humoslope.slope.descriptor import phi5
 
 RANDOM_STD = 0.8
 """Standard deviation of the random actions, that of an untrained policy."""
 
 BLOCK = 24
-"""Control steps that raw physics and `env.step` are each measured for in a round."""
+"""Control steps that raw physics, `env.step` and the terrain descriptor are each measured for in a round."""
 
 STATE = ("qpos", "qvel", "ctrl", "xfrc_applied")
 
@@ -48,6 +49,7 @@ class Measurement:
 
     Attributes:
         raw, env, ppo: Control steps of all worlds per second, one value for each round.
+        descriptor_s: Scan and terrain descriptor of all worlds, once, s, one value for each round.
         collection_s, learning_s: The two halves of a PPO iteration, s.
         peak_mib: Largest memory of the process through a whole PPO iteration, MiB.
         parts: Share of each part in the time of `env.step`.
@@ -57,6 +59,7 @@ class Measurement:
     raw: list[float]
     env: list[float]
     ppo: list[float]
+    descriptor_s: list[float]
     collection_s: list[float]
     learning_s: list[float]
     peak_mib: float
@@ -64,12 +67,12 @@ class Measurement:
 
 
 def measure(task: str, cfg: TaskCfg, rounds: int, checkpoint: Path | None = None) -> Measurement:
-    """Measures a task in this process, in rounds of each of the three.
+    """Measures a task in this process, in rounds of each of the four.
 
     Args:
         task: Its name.
         cfg: Its configuration.
-        rounds: How often each of the three is measured.
+        rounds: How often each of the four is measured.
         checkpoint: A trained actor that drives the robots; None for random actions.
 
     Raises:
@@ -85,11 +88,12 @@ def measure(task: str, cfg: TaskCfg, rounds: int, checkpoint: Path | None = None
     with torch.inference_mode():  # as in a rollout
         _env_block(env, act)
     runner.times.clear()
-    pairs = []
+    blocks = []
     for _ in range(rounds):
         with torch.inference_mode():
             env_s, frames = _env_block(env, act)
-            pairs.append((_raw_block(env, frames), env_s))
+            descriptor_s = _descriptor_block(env)
+            blocks.append((_raw_block(env, frames), env_s, descriptor_s))
         runner.learn(1)
     with torch.inference_mode():
         parts = _parts(env, act)
@@ -98,9 +102,10 @@ def measure(task: str, cfg: TaskCfg, rounds: int, checkpoint: Path | None = None
     rollout = worlds * cfg.agent.num_steps_per_env
     return Measurement(
         worlds=worlds,
-        raw=[worlds * BLOCK / raw_s for raw_s, _ in pairs],
-        env=[worlds * BLOCK / env_s for _, env_s in pairs],
+        raw=[worlds * BLOCK / raw_s for raw_s, _, _ in blocks],
+        env=[worlds * BLOCK / env_s for _, env_s, _ in blocks],
         ppo=[rollout / (c + u) for c, u in runner.times],
+        descriptor_s=[descriptor_s / BLOCK for _, _, descriptor_s in blocks],
         collection_s=list(collection),
         learning_s=list(learning),
         peak_mib=peak,
@@ -165,6 +170,17 @@ def _raw_block(env: ManagerBasedRlEnv, frames: list[dict[str, Tensor]]) -> float
         spent += _now(env) - start
     for field, value in after.items():
         env.sim.state(field).copy_(value)
+    return spent
+
+
+def _descriptor_block(env: ManagerBasedRlEnv) -> float:
+    """Time of a block of scans with their descriptors, s."""
+    spent = 0.0
+    for _ in range(BLOCK):
+        env.signals.refresh()
+        start = _now(env)
+        phi5(env.patch.descriptor)
+        spent += _now(env) - start
     return spent
 
 

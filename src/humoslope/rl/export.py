@@ -107,16 +107,9 @@ def describe(provenance: Provenance, env: ManagerBasedRlEnv, trained: EnvCfg, sh
     return Contract(
         format="humoslope-policy",
         version=contracts.VERSION,
-        task=provenance.task,
+        exported_by=f"humoslope {humoslope.__version__}, {git_state().splitlines()[0]}",
         conventions=CONVENTIONS,
-        training=contracts.Training(
-            checkpoint=provenance.path.name,
-            sha256=provenance.sha256,
-            iteration=provenance.iteration,
-            environment_steps=provenance.total_steps,
-            harness=provenance.harness,
-            exported_by=f"humoslope {humoslope.__version__}, {git_state().splitlines()[0]}",
-        ),
+        training=_training(provenance),
         network=contracts.Network(
             file=ONNX,
             sha256=sha256,
@@ -169,6 +162,18 @@ def robot_xml(env: ManagerBasedRlEnv) -> str:
     spec.option.cone = env.sim.model.opt.cone
     spec.compile()
     return spec.to_xml()
+
+
+def _training(provenance: Provenance) -> contracts.Training:
+    return contracts.Training(
+        task=provenance.task,
+        checkpoint=provenance.path.name,
+        sha256=provenance.sha256,
+        iteration=provenance.iteration,
+        environment_steps=provenance.total_steps,
+        harness=provenance.harness,
+        started_from=None if provenance.ancestor is None else _training(provenance.ancestor),
+    )
 
 
 def _check_imu(env: ManagerBasedRlEnv) -> None:

@@ -63,20 +63,6 @@ class TerrainQueries:
         )
         return torch.nn.functional.normalize(normal, dim=-1)
 
-    def scan(self, xy: Tensor, yaw: Tensor, offsets: Tensor) -> Tensor:
-        """Heights of the ground around N robots, m, shape [N, P], world frame.
-
-        Args:
-            xy: [N, 2] world position of each robot, m.
-            yaw: [N] heading, rad.
-            offsets: [P, 2] points to look at, forward and to the left of the robot, m.
-        """
-        cos, sin = torch.cos(yaw)[:, None], torch.sin(yaw)[:, None]
-        forward, left = offsets[:, 0], offsets[:, 1]
-        x = torch.addcmul(xy[:, 0:1] + cos * forward, sin, left, value=-1.0)
-        y = torch.addcmul(xy[:, 1:2] + sin * forward, cos, left)
-        return self._height(x, y)
-
     def _height(self, x: Tensor, y: Tensor) -> Tensor:
         fx, fy, _, low, mid, high = self._triangle(x, y)
         return low + torch.maximum(fx, fy) * (mid - low) + torch.minimum(fx, fy) * (high - mid)
