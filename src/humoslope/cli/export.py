@@ -17,10 +17,8 @@ from humoslope.registry import load_content
 from humoslope.rl.export import DEPLOY, MODEL, ONNX, export, record_observations
 from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
 
-GROUND = RampProtocol(grades=(0.0, 20.0, -20.0), starts=2)
-"""What is walked on to compare the files with the actor."""
-STEPS = 100
-"""Control steps of that walk."""
+WALK = RampProtocol(grades=(0.0, 20.0, -20.0), starts=2, seconds=2.0)
+"""What is walked to compare the network with the actor on what it sees there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,9 +48,9 @@ def run(arguments: list[str]) -> None:
     console = Console()
     console.print(f"{provenance.task}, iteration {provenance.iteration}: walking, translating", soft_wrap=True)
     task = trained_task(path, provenance.task)
-    env = ManagerBasedRlEnv(ramp_env_cfg(task.env, GROUND))
+    env = ManagerBasedRlEnv(ramp_env_cfg(task.env, WALK))
     actor = load_actor(path, env, provenance.task)
-    result = export(actor, env, task.env, record_observations(env, actor, STEPS), folder)
+    result = export(actor, env, task.env, record_observations(env, actor, WALK.seconds), folder)
     network = result.contract.network
     console.print(
         f"ONNX {network.inputs} -> {network.outputs}; at most {result.difference:.1g} from torch over "

@@ -55,16 +55,15 @@ def check_display() -> None:
     if sys.platform == "darwin" and not _under_mjpython():
         raise UserError("on macOS a window needs `mjpython` instead of `python`; or add --headless.")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # glfw's own words on what fails; the sentence below says it
+        warnings.simplefilter("ignore")  # glfw's own words on what fails; the sentences below say it
         if not glfw.init():
             raise UserError("there is no display to open a window on; add --headless to walk without one.")
         # The viewer opens its window in a thread, and whoever waits for it would wait for ever if that failed.
         glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
         window = glfw.create_window(64, 64, "", None, None)
-        if not window:
-            raise UserError("the display has no OpenGL driver for a window; add --headless to walk without one.")
-        glfw.destroy_window(window)
-        glfw.default_window_hints()
+        glfw.terminate()
+    if not window:
+        raise UserError("the display has no OpenGL driver for a window; add --headless to walk without one.")
 
 
 def live(player: Player, say: Callable[[str], object]) -> None:

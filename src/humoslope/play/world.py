@@ -51,7 +51,10 @@ class World:
             _named(spec.geom(name), "geom", name, spec.geoms).friction[0] = friction
         _add_ground(spec, self.grade, length)
         spec.option.timestep = contract.timing.physics_step_s
-        self.model = spec.compile()
+        try:
+            self.model = spec.compile()
+        except ValueError as error:
+            raise UserError(f"the robot model does not go with the contract: {_line(error)}.") from None
         self.data = mujoco.MjData(self.model)
         free = self.model.joint(root.first_joint().name)
         joints = [self.model.joint(joint.name) for joint in contract.joints]
@@ -142,7 +145,11 @@ def _load(path: Path) -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
     except (ValueError, OSError) as error:
-        raise UserError(f"'{path}' is no MuJoCo model: {' '.join(str(error).split())}.") from None
+        raise UserError(f"'{path}' is no MuJoCo model: {_line(error)}.") from None
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
 def _named(element: Any, kind: str, name: str, known: Iterable[Any]) -> Any:

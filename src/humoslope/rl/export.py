@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 
 import humoslope
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError, unknown
+from humoslope.evaluation.rollout import roll
 from humoslope.files import write_atomically, write_text
 from humoslope.managers import ObservationTerm, Terms, VelocityCommand
 from humoslope.mdp import terminations
@@ -53,13 +55,15 @@ class Exported:
     compared: int
 
 
-def record_observations(env: ManagerBasedRlEnv, actor: Actor, steps: int) -> Tensor:
-    """What the actor sees in the first `steps` control steps of all worlds, [steps * N, d]."""
-    seen = []
-    for _ in range(steps):
-        obs = env.get_observations()
+def record_observations(env: ManagerBasedRlEnv, actor: Actor, seconds: float) -> Tensor:
+    """What the actor sees while it drives all worlds for `seconds`, [K, d]."""
+    seen: list[Tensor] = []
+
+    def act(obs: TensorDict) -> Tensor:
         seen.append(obs[GROUP])
-        env.step(actor(obs))
+        return actor(obs)
+
+    roll(env, act, seconds, lambda failed, ended: None)
     return torch.cat(seen)
 
 
