@@ -5,7 +5,8 @@ STAMP := .venv/.installed
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 ramps calibrate curve export play terrain list bench test lint types check format clean
+.PHONY: help setup train-stage1 train-stage2 ramps calibrate curve export play terrain list bench test lint types \
+  check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -22,6 +23,9 @@ $(STAMP): pyproject.toml constraints.txt
 
 train-stage1: $(STAMP) ## Train Stage I; ARGS="--resume latest" goes on with the newest run
 	$(BIN)/humoslope train HumoSlope-Stage1-Unitree-G1 $(ARGS)
+
+train-stage2: $(STAMP) ## Train Stage II from the newest Stage I and its calibration
+	$(BIN)/humoslope train HumoSlope-Stage2-Unitree-G1 $(ARGS)
 
 ramps: $(STAMP) ## Evaluate CHECKPOINT on flat ground and on ramps
 	$(BIN)/humoslope ramps $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)

@@ -94,6 +94,7 @@ def put(path: str, value: object) -> Callable[[Any], None]:
         ("format", "mjlab", "is not the contract of a HumoSlope policy"),
         ("joints.0.default_rad", "bent", "joints[0].default_rad is 'bent'; it must be a number"),
         ("joints.0.stifness", 1.0, "field 'joints[0].stifness' does not exist; did you mean"),
+        ("joints.0.name", "left_knee_joint", "joints: two have the same name"),
         ("joints", [], "the network has 29 outputs for 0 joints"),
         ("observation.layout", "frame by frame", "observation.layout is 'frame by frame'; this version reads only"),
         ("observation.history", 4, "its terms make 384 numbers, but the network has 480 inputs"),

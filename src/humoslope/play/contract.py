@@ -281,6 +281,8 @@ def _check(contract: Contract) -> None:
         raise UserError("timing: this program observes one physics step before it acts; observation_age_s is another.")
     if contract.network.outputs != len(joints):
         raise UserError(f"the network has {contract.network.outputs} outputs for {len(joints)} joints.")
+    if len({joint.name for joint in joints}) < len(joints):
+        raise UserError("joints: two have the same name.")
     for term in observation.terms:
         if term.quantity not in QUANTITIES:
             raise unknown("quantity", term.quantity, QUANTITIES)
