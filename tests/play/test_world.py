@@ -149,7 +149,7 @@ def test_a_model_that_does_not_fit_the_contract_is_said(spoil: Callable[..., Pat
     assert "model.xml' is no MuJoCo model: " in said()
     model.write_text(text)
     weak = replace(contract, joints=tuple(replace(joint, effort_limit_nm=-1.0) for joint in contract.joints))
-    with pytest.raises(UserError, match=r"the robot model does not go with the contract: .*forcerange"):
+    with pytest.raises(UserError, match=r"the robot model does not go with the contract: .*invalid force range"):
         World(folder, weak, 0.0, 0.8, 20.0)
     model.unlink()
     assert "model.xml' does not exist; it belongs to the export folder" in said()

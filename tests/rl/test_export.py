@@ -23,6 +23,8 @@ from humoslope.mdp import observations
 from humoslope.mdp.measured import measured_as
 from humoslope.play import contract as contracts
 from humoslope.play.contract import Contract
+from humoslope.play.quantities import QUANTITIES
+from humoslope.registry import all_tasks, build_task
 from humoslope.rl import export as exporting
 from humoslope.rl.export import describe, export, record_observations, robot_xml
 from humoslope.rl.policy import Actor, load_actor, read_provenance
@@ -142,6 +144,13 @@ def test_an_observation_that_no_one_else_could_build_is_not_exported(
     with pytest.raises(UserError) as error:
         described(change)
     assert said in str(error.value)
+
+
+def test_every_registered_task_has_an_actor_that_can_be_described() -> None:
+    for name in all_tasks():
+        cfg = build_task(name).env
+        for term_name, term in cfg.observations.actor.terms.items():
+            assert exporting._term(term_name, term, cfg.scene.robot, True).quantity in QUANTITIES
 
 
 def test_a_robot_whose_gyroscope_is_turned_is_not_exported(env: ManagerBasedRlEnv, monkeypatch: Any) -> None:
