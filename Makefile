@@ -5,7 +5,8 @@ STAMP := .venv/.installed
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 train-stage2 ramps calibrate curve terrain list bench test lint types check format clean
+.PHONY: help setup train-stage1 train-stage2 ramps calibrate curve export play terrain list bench test lint types \
+  check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -34,6 +35,12 @@ calibrate: $(STAMP) ## Fit the swing reference of Stage II to the Stage-I CHECKP
 
 curve: $(STAMP) ## Draw the learning curve of RUN, a run folder
 	$(BIN)/humoslope curve $(call need,RUN,logs/...) $(ARGS)
+
+export: $(STAMP) ## Export CHECKPOINT: ONNX, a contract, and Unitree's deploy.yaml
+	$(BIN)/humoslope export $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
+
+play: $(STAMP) ## Walk with the export in DIR by the arrow keys; ARGS="--headless --trials 64" counts falls
+	$(BIN)/humoslope play $(call need,DIR,logs/.../model_1000.export) $(ARGS)
 
 terrain: $(STAMP) ## Draw the terrain NAME to a PNG
 	$(BIN)/humoslope terrain $(call need,NAME,ramp-up) $(ARGS)

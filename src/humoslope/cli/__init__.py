@@ -15,6 +15,8 @@ VERBS = {
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
     "calibrate": "Fit the swing reference of Stage II to a Stage-I checkpoint.",
     "curve": "Draw the learning curve of a run.",
+    "export": "Export a checkpoint to ONNX and a contract.",
+    "play": "Walk with an exported policy in plain MuJoCo.",
     "bench": "Measure speed and memory.",
 }
 """Each verb is `run(arguments)` in the module of its name."""
