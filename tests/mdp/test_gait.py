@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from humoslope.errors import UserError
 from humoslope.mdp import gait
 from humoslope.mdp.mirror import joint_image
+from humoslope.slope.descriptor import terrain_descriptor
 from robots.unitree_g1 import UNITREE_G1
 
 NAMES = UNITREE_G1.joint_names
@@ -29,10 +30,12 @@ TERMS = {  # with the slope, in degrees, on which a good walker earns it
 every_term = pytest.mark.parametrize("name", TERMS)
 
 
-def ground(slope):
-    """The descriptor of a plane of this slope (degrees) in every world."""
-    angle = torch.as_tensor(slope).reshape(-1) * DEG
-    return SimpleNamespace(descriptor=SimpleNamespace(slope=angle, up=angle > DEAD_BAND, down=angle < -DEAD_BAND))
+def ground(*slopes, valid=True):
+    """The patch of worlds that stand on planes of these slopes, in degrees; or off the ground, if it is not valid."""
+    along = torch.tensor([-0.4, 0.0, 0.4])
+    x, y = (axis.flatten() for axis in torch.meshgrid(along, along, indexing="ij"))
+    points = torch.stack([torch.stack([x, y, math.tan(slope * DEG) * x], dim=1) for slope in slopes])
+    return SimpleNamespace(descriptor=terrain_descriptor(points, torch.full(points.shape[:2], valid), DEAD_BAND))
 
 
 def asking(*speeds, moving=True):
@@ -117,10 +120,21 @@ def test_who_walks_as_the_slope_asks_earns_most_of_every_term(env, name):
     ],
 )
 def test_hips_are_judged_uphill_knees_and_steps_downhill_and_neither_on_the_flat(env, slope, earning):
-    def sum_of(name, drive):
-        return values(env, term_of(env, name, slope)[0], slope, 50, drive=drive).sum()
+    def earns(name):
+        term, _ = term_of(env, name, slope)
+        # Two steps, in which the legs both propel and brake.
+        return any(values(env, term, slope, 1, start=k, drive=(-1.0) ** k).item() > 0.0 for k in range(40))
 
-    assert {name for name in TERMS if sum_of(name, 1.0) + sum_of(name, -1.0) > 0.0} == earning
+    assert {name for name in TERMS if earns(name)} == earning
+
+
+@every_term
+def test_ground_that_shows_no_plane_is_treated_as_flat(env, name):
+    term, _ = term_of(env, name)
+    level, _ = term_of(env, name, slope=0.0)
+    on_the_flat = values(env, level, 20.0, 60)
+    env.patch = ground(20.0, valid=False)
+    assert values(env, term, 20.0, 60).equal(on_the_flat)
 
 
 # Nothing for standing still
@@ -176,8 +190,8 @@ def test_only_posture_is_rewarded_in_worlds_that_are_asked_to_stand(env, name):
 def test_half_the_commanded_speed_earns_half(env, name):
     slow, slope = term_of(env, name)
     full, _ = term_of(env, name)
-    one, half = values(env, full, slope, 160)[120:], values(env, slow, slope, 160, speed=0.25)[120:]
-    torch.testing.assert_close(half, 0.5 * one, atol=0.005, rtol=0)
+    one, half = values(env, full, slope, 140)[100:], values(env, slow, slope, 140, speed=0.25)[100:]
+    torch.testing.assert_close(half, 0.5 * one, atol=0.02, rtol=0)
 
 
 def test_sliding_downhill_on_both_feet_is_no_stride_and_no_braking(env):
@@ -245,7 +259,7 @@ def test_a_reset_forgets_the_last_episode_of_its_worlds_alone(make_env, mask, na
     env = make_env(2, robot=UNITREE_G1, commands=asking(0.5, 0.5))
     term, slope = term_of(env, name)
     fresh, _ = term_of(env, name)
-    env.patch = ground([slope, slope])
+    env.patch = ground(slope, slope)
     for k in range(110):
         env.signals = doubled(walking(k, slope))
         before = term(env)
@@ -292,8 +306,8 @@ AT_ONCE = {"memory_s": 1e-3}
 """Averages that are as good as their last sample."""
 
 
-def score_of(env, func, slope, posed, **params):
-    env.patch, env.signals = ground(slope), posed.signals
+def score_of(env, func, posed, **params):
+    env.patch, env.signals = posed.patch, posed.signals
     return func(env, **AT_ONCE, **params)(env).item()
 
 
@@ -301,7 +315,7 @@ def score_of(env, func, slope, posed, **params):
 def test_crouching_scores_lower_the_deeper_it_is_on_any_slope(env, robot, slope):
     def score(knee):
         posed = robot(slope, hip_pitch=-0.5 * knee, knee=knee, ankle_pitch=-0.5 * knee)
-        return score_of(env, gait.ComHeight, slope, posed, nominal=0.69)
+        return score_of(env, gait.ComHeight, posed, nominal=0.69)
 
     upright = 0.75 if slope < 0.0 else 0.3
     scores = [score(knee) for knee in (upright, 1.1, 1.4, 1.7)]
@@ -314,7 +328,7 @@ def test_crouching_scores_lower_the_deeper_it_is_on_any_slope(env, robot, slope)
 def test_legs_nearly_straight_are_preferred_uphill_and_flexed_ones_downhill(env, robot, slope, knee, other):
     def score(knee):
         posed = robot(slope, hip_pitch=-0.5 * knee, knee=knee, ankle_pitch=-0.5 * knee)
-        return score_of(env, gait.ComHeight, slope, posed, nominal=0.69)
+        return score_of(env, gait.ComHeight, posed, nominal=0.69)
 
     assert score(knee) > score(other) + 0.02
 
@@ -326,7 +340,7 @@ def test_the_more_the_hips_drive_uphill_the_better_up_to_the_target(env, robot, 
         power = joints(hip_pitch=60.0 * share, knee=60.0 * (1.0 - share) / 2, ankle_pitch=60.0 * (1.0 - share) / 2)
         posed.put_joints(vel=torch.ones(len(NAMES)), torque=power)
         posed.signals.refresh()
-        return score_of(env, gait.HipPropulsion, slope, posed)
+        return score_of(env, gait.HipPropulsion, posed)
 
     scores = [score(share) for share in (0.0, 0.1, 0.2, 0.3)]
     assert scores == sorted(set(scores))
@@ -339,7 +353,7 @@ def test_negative_work_and_the_work_of_a_leg_in_the_air_propel_nothing(env, robo
         posed.put(foot_force_w={"left": [0.0, 0.0, left_force]})
         posed.put_joints(vel=torch.ones(len(NAMES)), torque=torque)
         posed.signals.refresh()
-        return score_of(env, gait.HipPropulsion, 20.0, posed)
+        return score_of(env, gait.HipPropulsion, posed)
 
     assert score(joints(hip_pitch=-50.0)) == 0.0
     assert score(joints(knee=30.0, left_hip_pitch=50.0), left_force=0.0) == 0.0
@@ -353,7 +367,7 @@ def test_a_more_flexed_braking_knee_is_better_downhill_up_to_the_target(env, rob
         brakes = joints(knee=-60.0 * share, hip_pitch=-60.0 * (1.0 - share))
         posed.put_joints(vel=torch.ones(len(NAMES)), torque=brakes)
         posed.signals.refresh()
-        return score_of(env, gait.KneeBraking, slope, posed)
+        return score_of(env, gait.KneeBraking, posed)
 
     target = 0.45 - 0.30 * slope / 30.0
     scores = [score(knee) for knee in (0.0, 0.2, 0.4, target)]
@@ -374,7 +388,7 @@ def test_stepping_further_than_the_speed_needs_costs_downhill_however_the_robot_
         posed = pose(slope, uphill=heading, root_quat_w=turn.as_quat(scalar_first=True), root_lin_vel_w=0.5 * ahead)
         left, right = length * ahead + turn.apply([0.0, 0.1, 0.0]), turn.apply([0.0, -0.1, 0.0])
         posed.put(foot_pos_w={"left": left, "right": right})
-        env.patch, env.signals = ground(slope), posed.signals
+        env.patch, env.signals = posed.patch, posed.signals
         for lifted in [True] * 6 + [False]:
             posed.put(foot_force_w={"left": [0.0, 0.0, WEIGHT * (not lifted)], "right": [0.0, 0.0, WEIGHT]})
             posed.signals.refresh()
@@ -420,8 +434,12 @@ def test_every_term_is_the_same_in_the_mirror(make_env, pose, name):
         return value * sideways
 
     here, there = pose(slope, uphill=15.0), pose(slope, uphill=-15.0)
-    worlds = [make_env(1, robot=UNITREE_G1, commands=asking(0.5), signals=posed.signals) for posed in (here, there)]
-    terms = [term_of(world, name)[0] for world in worlds]
+    worlds = [
+        make_env(1, robot=UNITREE_G1, commands=asking(0.5), signals=posed.signals, patch=posed.patch)
+        for posed in (here, there)
+    ]
+    func, params, _ = TERMS[name]
+    terms = [func(world, **params) for world in worlds]
     earned = []
     for step in range(35):
         put, pos, vel, torque = readings(step)

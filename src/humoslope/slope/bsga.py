@@ -47,8 +47,8 @@ STEP_TIME, STEP_MARGIN = 0.4, 0.05
 """Time of a step, s (gait period 0.8 s in Unitree RL Lab), and length it may be too long, m."""
 
 STEP_SHORTENING = 0.25
-"""Share by which steps shorten to full slope. Franz & Kram (2012) measured 13 % at -9 degrees and 0.75 m/s, hence 25 %
-at less than 30 degrees is cautious."""
+"""Share by which steps shorten to full slope. Franz & Kram (2012) measured 13 % at -9 degrees and 0.75 m/s; 25 % at
+30 degrees carries that on with caution."""
 
 STRIDE_STD = 0.05
 """Excess step length at which r_stride is 1/e, m."""
