@@ -5,7 +5,7 @@ STAMP := .venv/.installed
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 train-stage2 ramps calibrate curve terrain list bench test lint types check format clean
+.PHONY: help setup train-stage1 train-stage2 ramps evaluate calibrate curve terrain list bench test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,6 +28,9 @@ train-stage2: $(STAMP) ## Train Stage II from the newest Stage I and its calibra
 
 ramps: $(STAMP) ## Evaluate CHECKPOINT on flat ground and on ramps
 	$(BIN)/humoslope ramps $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
+
+evaluate: $(STAMP) ## Evaluate CHECKPOINT on the held-out track; ARGS="--trials 16" is a first look, ARGS=--sweep finds the slope limit
+	$(BIN)/humoslope evaluate $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
 
 calibrate: $(STAMP) ## Fit the swing reference of Stage II to the Stage-I CHECKPOINT
 	$(BIN)/humoslope calibrate $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
