@@ -15,6 +15,8 @@ VERBS = {
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
     "evaluate": "Evaluate checkpoints on the held-out track.",
     "calibrate": "Fit the swing reference of Stage II to a Stage-I checkpoint.",
+    "table": "Print the paper's tables with the results of evaluations.",
+    "figures": "Draw the results of evaluations.",
     "curve": "Draw the learning curve of a run.",
     "bench": "Measure speed and memory.",
 }

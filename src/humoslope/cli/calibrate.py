@@ -18,8 +18,9 @@ from humoslope.evaluation.calibration import Fit, SwingFit, gather, solve, table
 from humoslope.evaluation.calibration_figure import draw
 from humoslope.evaluation.calibration_file import calibration_path, write_calibration
 from humoslope.evaluation.ramps import ramp_env_cfg
-from humoslope.evaluation.swing_walk import SwingProtocol, hip_joints, walk
+from humoslope.evaluation.swing_walk import SwingProtocol, walk
 from humoslope.files import check_place
+from humoslope.mdp.selection import joint_pair
 from humoslope.registry import build_task, load_content
 from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
 from humoslope.rl.rundir import plain
@@ -50,17 +51,17 @@ def run(arguments: list[str]) -> None:
     path = find_checkpoint(options.checkpoint)
     provenance = read_provenance(path)
     out = options.out or calibration_path(path)
+    check_place(out)
     picture = out.with_suffix(".png")
     if picture == out:
         raise UserError(
             f"--out '{out}' is where the picture goes; name the JSON file, such as '{calibration_path(out)}'."
         )
-    check_place(out)
     check_place(picture)
 
     protocol, fit, console = options.protocol, options.fit, Console()
     cfg = ramp_env_cfg(build_task(provenance.task).env, protocol)
-    hip_joints(cfg.scene.robot, protocol.hip_joints)  # a mistaken pattern is said before anything is built
+    joint_pair(cfg.scene.robot, protocol.hip)  # a mistaken pattern is said before anything is built
     env = ManagerBasedRlEnv(cfg)
     actor = load_actor(path, env, provenance.task)
     introduce(console, env, provenance, protocol)
@@ -86,10 +87,11 @@ def run(arguments: list[str]) -> None:
 
 
 def _say(console: Console, found: SwingFit) -> None:
-    fitted, prior = found.calibration, PRIOR
+    fitted, prior, (residual, grade) = found.calibration, PRIOR, found.worst
     console.print(
         f"beta0 {fitted.beta0:.4f} +- {found.beta0_error:.4f} rad, beta1 {fitted.beta1:.4f} +- {found.beta1_error:.4f} "
-        f"rad/rad, theta_clip {math.degrees(fitted.theta_clip):g}°; RMS residual {found.rms_residual:.4f} rad\n"
+        f"rad/rad, theta_clip {math.degrees(fitted.theta_clip):g}°\n"
+        f"RMS residual {found.rms_residual:.4f} rad; largest {residual:+.4f} rad at {grade:g}°\n"
         f"prior for comparison: beta0 {prior.beta0:g} rad, beta1 {prior.beta1:g} rad/rad",
         highlight=False,
         soft_wrap=True,

@@ -27,9 +27,10 @@ class Fit:
     """How samples become coefficients.
 
     Attributes:
-        percentile: Of hip flexion within a bin. 90: the reference is a peak, and a maximum would be an outlier.
-        bin_width: Degrees of slope. Bins are centred on its multiples.
-        least_samples: A bin with fewer is left out.
+        percentile: Of hip flexion within a bin. The paper says "upper" and no number; 90 is ours: a peak is wanted, and
+            a maximum would be an outlier.
+        bin_width: Degrees of slope; bins are centred on its multiples. Ours.
+        least_samples: A bin with fewer is left out. 500 are some eighty swings. Ours.
         theta_clip: Degrees from which on the reference stays level; not fitted. 30: the steepest grade of the paper's
             benchmark.
     """
@@ -88,6 +89,12 @@ class SwingFit:
     bins: tuple[Bin, ...]
     residuals: tuple[float | None, ...]
     rms_residual: float
+
+    @property
+    def worst(self) -> tuple[float, float]:
+        """The largest residual of the bins that were used, rad, and the centre of its bin, degrees."""
+        used = [(r, b.centre) for b, r in zip(self.bins, self.residuals, strict=True) if b.used and r is not None]
+        return max(used, key=lambda pair: abs(pair[0]))
 
 
 def gather(samples: SwingSamples, fit: Fit, grades: Sequence[float] = ()) -> tuple[Bin, ...]:

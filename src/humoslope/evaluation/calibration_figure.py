@@ -40,6 +40,7 @@ def draw(samples: SwingSamples, found: SwingFit, fit: Fit, title: str, out: Path
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
     _draw_cloud(above, samples, fit)
     _draw_fit(above, found, fit)
+    above.set_xlim(*_range(found, fit))
     _draw_residuals(below, found)
     below.set_xlabel("slope of the ground in the heading direction, degrees", fontsize=10, color=INK)
     for axis in (above, below):
@@ -64,6 +65,7 @@ def _draw_cloud(axis: Axes, samples: SwingSamples, fit: Fit) -> None:
     y = np.arange(samples.flexion.min() - CLOUD_STEP, samples.flexion.max() + 2.0 * CLOUD_STEP, CLOUD_STEP)
     count, _, _ = np.histogram2d(slope, samples.flexion, bins=(edges, y))
     tint = LinearSegmentedColormap.from_list("tint", ["#eef4f6", "#6ba6ba"])
+    axis.fill_between([], [], color="#6ba6ba", label=f"{len(samples):,} samples of swing")
     for centre, column in zip(centres, count, strict=True):
         density = np.ma.masked_equal(column[:, None] / max(column.max(), 1.0), 0.0)
         x = centre + fit.bin_width * COLUMN * np.array([-0.5, 0.5])
@@ -72,7 +74,7 @@ def _draw_cloud(axis: Axes, samples: SwingSamples, fit: Fit) -> None:
 
 def _draw_fit(axis: Axes, found: SwingFit, fit: Fit) -> None:
     fitted = found.calibration
-    x = np.linspace(*_range(found), 400)
+    x = np.linspace(*_range(found, fit), 400)
     axis.plot(x, _target(PRIOR, x), color=PRIOR_INK, linewidth=1.3, linestyle="--", label=_named("prior", PRIOR))
     axis.plot(x, _target(fitted, x), color=FIT, linewidth=2.0, label=_named("fit", fitted))
     for used, face in ((True, POINT), (False, "none")):
@@ -98,9 +100,8 @@ def _draw_residuals(axis: Axes, found: SwingFit) -> None:
     axis.set_title(f"RMS {1e3 * found.rms_residual:.1f} mrad", fontsize=9, color=INK, loc="right")
 
 
-def _range(found: SwingFit) -> tuple[float, float]:
-    slopes = [math.degrees(b.slope) for b in found.bins]
-    return min(slopes) - 1.0, max(slopes) + 1.0
+def _range(found: SwingFit, fit: Fit) -> tuple[float, float]:
+    return found.bins[0].centre - 0.6 * fit.bin_width, found.bins[-1].centre + 0.6 * fit.bin_width
 
 
 def _target(calibration: SwingCalibration, slope: Array) -> Array:

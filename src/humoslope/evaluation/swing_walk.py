@@ -5,10 +5,8 @@ It walks as in the ramp check: on planar ramps of fixed friction, without noise,
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import torch
@@ -21,8 +19,9 @@ from humoslope.errors import UserError
 from humoslope.evaluation.ramps import APPROACH, RampProtocol
 from humoslope.evaluation.rollout import roll
 from humoslope.evaluation.statistics import Array
-from humoslope.scene.robot import Robot
-from humoslope.scene.sensors import SIDES
+from humoslope.mdp.gait import HIP_PITCH
+from humoslope.mdp.gait_memory import SWING_FORCE, SWING_LONGEST, SWING_SETTLE, Swing
+from humoslope.mdp.selection import joint_pair
 
 CLEAR = 1.0
 """Way on a ramp before samples count, m: some strides, and the whole patch that reads the slope is on the ramp."""
@@ -38,28 +37,33 @@ class SwingProtocol(RampProtocol):
         grades: Of the ramps in degrees; negative goes down. Every 2.5, so that there is one for each bin of the fit.
         starts: Trials on each ramp.
         seconds: Length of a trial, s; the first 4 or 5 pass before the robot is well on its ramp.
-        hip_joints: Regular expression for the whole name of the joints that flex the hips, one on the left and one on
-            the right, turning about the left axis.
-        unloaded: A foot is in swing below this force, N.
-        swing_time: It must have been for this long, s; leaves out bounces at lift-off.
+        hip: Regular expression for the whole names of the joints that flex the hips, one on the left and one on the
+            right, turning about the left axis; as the swing reward has it.
+        swing_force: A foot that presses less on the ground swings, N.
+        swing_settle: A swing counts from this time after lift-off, s.
+        swing_longest: A swing counts no more from this time after lift-off, s.
         speed_tolerance: Largest difference of the mean speed from the commanded one, m/s.
     """
 
     grades: tuple[float, ...] = tuple(2.5 * i for i in range(-12, 13))
     starts: int = 32
     seconds: float = 15.0
-    hip_joints: str = ".*hip_pitch.*"
-    unloaded: float = 5.0
-    swing_time: float = 0.1
+    hip: str = HIP_PITCH
+    swing_force: float = SWING_FORCE
+    swing_settle: float = SWING_SETTLE
+    swing_longest: float = SWING_LONGEST
     speed_tolerance: float = 0.2
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("unloaded", "speed_tolerance"):
+        for name in ("swing_force", "speed_tolerance"):
             if not getattr(self, name) > 0.0:
                 raise UserError(f"calibration: {name} is {getattr(self, name):g}; it must be positive.")
-        if not self.swing_time >= 0.0:
-            raise UserError(f"calibration: swing_time is {self.swing_time:g} s; it must be 0 or more.")
+        if not 0.0 <= self.swing_settle <= self.swing_longest:
+            raise UserError(
+                f"calibration: a swing from {self.swing_settle:g} to {self.swing_longest:g} s after lift-off "
+                "is none; swing_settle must be 0 or more, and swing_longest no less than it."
+            )
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,7 @@ class SwingRecorder:
     """Gathers samples step by step; a world that has ended is ignored from then on. Nothing waits for the device.
 
     Args:
-        protocol: Says which instants count.
+        protocol: Gives the commanded speed and its tolerance.
         num_envs: Number of worlds N.
         dt: Control step, s.
         device: Of the signals.
@@ -92,17 +96,22 @@ class SwingRecorder:
 
     def __init__(self, protocol: SwingProtocol, num_envs: int, dt: float, device: torch.device) -> None:
         self._protocol = protocol
-        self._swing_steps = round(protocol.swing_time / dt)
         self._keep_speed = float(np.exp(-dt / SPEED_WINDOW))
         self._running = torch.ones(num_envs, dtype=torch.bool, device=device)
         self._speed = torch.zeros(num_envs, device=device)  # [N] m/s; a robot at rest takes its time to count
-        self._unloaded = torch.zeros(num_envs, 2, dtype=torch.int64, device=device)  # [N, 2] control steps on end
         self._slope: list[Tensor] = []
         self._flexion: list[Tensor] = []
         self._counts: list[Tensor] = []
 
     def add(
-        self, place: Tensor, speed: Tensor, slope: Tensor, flexion: Tensor, force: Tensor, failed: Tensor, ended: Tensor
+        self,
+        place: Tensor,
+        speed: Tensor,
+        slope: Tensor,
+        flexion: Tensor,
+        swinging: Tensor,
+        failed: Tensor,
+        ended: Tensor,
     ) -> None:
         """Takes the outcome of one control step.
 
@@ -111,18 +120,17 @@ class SwingRecorder:
             speed: [N] forward along the ground, m/s.
             slope: [N] of the ground in the heading direction, rad.
             flexion: [N, 2] of left and right hip, rad.
-            force: [N, 2] on left and right foot, N.
+            swinging: [N, 2] whether the leg swings, bool.
             failed, ended: [N] bool.
         """
         protocol = self._protocol
         self._running = self._running & ~failed & ~ended
         self._speed = torch.lerp(speed, self._speed, self._keep_speed)
-        self._unloaded = torch.where(force < protocol.unloaded, self._unloaded + 1, 0)
         steady = (self._speed - protocol.speed).abs() < protocol.speed_tolerance
         walking = self._running & steady & (place >= APPROACH + CLEAR)
         self._slope.append(slope)
         self._flexion.append(flexion)
-        self._counts.append(walking[:, None] & (self._unloaded > self._swing_steps))
+        self._counts.append(walking[:, None] & swinging)
 
     def samples(self) -> SwingSamples:
         """What was gathered. Waits for the device."""
@@ -136,25 +144,6 @@ class SwingRecorder:
             flexion=torch.stack(self._flexion)[counts].double().cpu().numpy(),
             world=world[counts].cpu().numpy(),
         )
-
-
-def hip_joints(robot: Robot, pattern: str) -> list[int]:
-    """Where the left and the right hip's flexion is among the robot's joints.
-
-    Raises:
-        UserError: If the pattern is no regular expression, or does not match exactly one joint on each side.
-    """
-    try:
-        matched = [name for name in robot.joint_names if re.fullmatch(pattern, name)]
-    except re.error as error:
-        raise UserError(f"calibration: hip_joints '{pattern}' is no regular expression: {error}.") from None
-    found = [[name for name in matched if side in name] for side in SIDES]
-    if len(matched) != 2 or any(len(names) != 1 for names in found):
-        raise UserError(
-            f"calibration: hip_joints '{pattern}' matches {', '.join(matched) or 'nothing'} of {robot.name}; "
-            f"it must match exactly one joint with 'left' and one with 'right' in its name."
-        )
-    return [robot.joint_names.index(names[0]) for names in found]
 
 
 def walk(
@@ -172,20 +161,20 @@ def walk(
         UserError: If the robot has no such hip joints.
     """
     recorder = SwingRecorder(protocol, env.num_envs, env.step_dt, env.device)
-    hips = torch.tensor(hip_joints(env.robot, protocol.hip_joints), device=env.device)
-    record = partial(_record, recorder, env, hips)
+    swing = Swing(env, protocol.swing_force, protocol.swing_settle, protocol.swing_longest)
+    hips = torch.tensor(joint_pair(env.robot, protocol.hip), device=env.device)
+    signals, start_x = env.signals, env.tiles.origin_w[:, 0]
+
+    def record(failed: Tensor, ended: Tensor) -> None:
+        recorder.add(
+            place=signals.root_pos_w[:, 0] - start_x,
+            speed=signals.root_lin_vel_t[:, 0],
+            slope=env.patch.descriptor.slope,
+            flexion=-signals.joint_pos.index_select(1, hips),
+            swinging=swing.step(env),
+            failed=failed,
+            ended=ended,
+        )
+
     roll(env, policy, protocol.seconds, record, on_step)
     return recorder.samples()
-
-
-def _record(recorder: SwingRecorder, env: ManagerBasedRlEnv, hips: Tensor, failed: Tensor, ended: Tensor) -> None:
-    signals = env.signals
-    recorder.add(
-        place=signals.root_pos_w[:, 0] - env.tiles.origin_w[:, 0],
-        speed=signals.root_lin_vel_t[:, 0],
-        slope=signals.slope_pitch,
-        flexion=-signals.joint_pos[:, hips],
-        force=signals.foot_force_w.norm(dim=2),
-        failed=failed,
-        ended=ended,
-    )

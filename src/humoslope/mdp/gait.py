@@ -17,7 +17,17 @@ import torch
 from torch import Tensor
 
 from humoslope.managers.terms import StatefulTerm
-from humoslope.mdp.gait_memory import MEMORY, AirTime, Progress, StanceWork, require_positive
+from humoslope.mdp.gait_memory import (
+    MEMORY,
+    SWING_FORCE,
+    SWING_LONGEST,
+    SWING_SETTLE,
+    AirTime,
+    Progress,
+    StanceWork,
+    Swing,
+    require_positive,
+)
 from humoslope.mdp.selection import joint_pair
 from humoslope.slope import bsga
 from humoslope.slope.swing import SwingCalibration
@@ -26,13 +36,6 @@ if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 HIP_PITCH, KNEE, ANKLE_PITCH = ".*_hip_pitch_joint", ".*_knee_joint", ".*_ankle_pitch_joint"
-
-SWING_FORCE = 5.0
-"""A foot that presses less on the ground swings, N; the filter of the swing calibration."""
-
-SWING_SETTLE = 0.1
-"""A swing counts from this time after lift-off, s; the filter of the swing calibration, and longer than any chatter of
-contacts."""
 
 
 class ComHeight(StatefulTerm):
@@ -238,17 +241,12 @@ class Stride(StatefulTerm):
 class SwingHip(StatefulTerm):
     """r_swing: the hip of the swinging leg flexes as the slope asks (eq. swing_calibration).
 
-    A leg swings between `settle_s` and `longest_s` after its foot last carried, while the other foot carries: a foot
-    that is held up, a jump and a fall are no swing.
-
     Args:
         beta0, beta1, theta_clip: Of the swing calibration: hip flexion on the flat, rad, its rise with the slope,
             rad/rad, and the slope from which it rises no more, rad.
         hip: Joint pattern.
         std: Error at which the reward has fallen to 1/e, rad.
-        force: Force from which a foot carries, N.
-        settle_s: Time after lift-off from which the swing counts, s.
-        longest_s: Time after lift-off from which it counts no more, s; 0.6 is one and a half steps.
+        force, settle_s, longest_s: When a leg swings (see `Swing`), N and s.
         memory_s: Over which progress is averaged, s.
     """
 
@@ -262,24 +260,23 @@ class SwingHip(StatefulTerm):
         std: float = bsga.SWING_STD,
         force: float = SWING_FORCE,
         settle_s: float = SWING_SETTLE,
-        longest_s: float = 0.6,
+        longest_s: float = SWING_LONGEST,
         memory_s: float = MEMORY,
     ) -> None:
         require_positive("swing hip", std=std)
         self._calibration = SwingCalibration(beta0, beta1, theta_clip)
-        self._std, self._settle, self._longest = std, settle_s, longest_s
+        self._std = std
         self._hip = torch.tensor(joint_pair(env.robot, hip), device=env.device)
-        self._air = AirTime(env, force)
+        self._swing = Swing(env, force, settle_s, longest_s)
         self._progress = Progress(env, memory_s)
 
     def __call__(self, env: Env) -> Tensor:
-        carries, time = self._air.step(env), self._air.time
-        swinging = (time >= self._settle) & (time <= self._longest) & carries.flip(1)
+        swinging = self._swing.step(env)
         flexion = -env.signals.joint_pos.index_select(1, self._hip)
         target = self._calibration.target(env.patch.descriptor.slope)
         return bsga.swing_reward(flexion, swinging, target, self._std) * self._progress(env)
 
     def reset(self, mask: Tensor) -> None:
         """Both feet carry, and progress starts anew."""
-        self._air.reset(mask)
+        self._swing.reset(mask)
         self._progress.reset(mask)

@@ -1,4 +1,4 @@
-"""What the gait rewards remember of the last steps: progress, work of the stance legs, time in the air."""
+"""What the gait rewards remember of the last steps: progress, work of the stance legs, time in the air, swing."""
 
 from __future__ import annotations
 
@@ -17,6 +17,15 @@ if TYPE_CHECKING:
 
 MEMORY = 0.5
 """Time constant of moving averages, s: a little more than a step, so that neither legs nor swaying show."""
+
+SWING_FORCE = 5.0
+"""A foot that presses less on the ground swings, N; the paper filters by contact force and gives no number. Ours."""
+
+SWING_SETTLE = 0.1
+"""A swing counts from this time after lift-off, s; longer than any chatter of contacts. Ours."""
+
+SWING_LONGEST = 0.6
+"""A swing counts no more from this time after lift-off, s; one and a half steps. Ours."""
 
 
 class Progress:
@@ -83,6 +92,27 @@ class AirTime:
     def reset(self, mask: Tensor) -> None:
         """An episode starts on both feet."""
         self.time = self.time.masked_fill(mask[:, None], 0.0)
+
+
+class Swing:
+    """Which legs swing, for the swing reward and for the calibration of its target.
+
+    A leg swings between `settle_s` and `longest_s` after its foot last carried, while the other foot carries: a foot
+    that is held up, a jump and a fall are no swing.
+    """
+
+    def __init__(self, env: Env, force: float, settle_s: float, longest_s: float) -> None:
+        self._air = AirTime(env, force)
+        self._settle, self._longest = settle_s, longest_s
+
+    def step(self, env: Env) -> Tensor:
+        """Lets a step pass; which legs swing [N, 2]."""
+        carries, time = self._air.step(env), self._air.time
+        return (time >= self._settle) & (time <= self._longest) & carries.flip(1)
+
+    def reset(self, mask: Tensor) -> None:
+        """An episode starts on both feet."""
+        self._air.reset(mask)
 
 
 def _gain(env: Env, memory_s: float) -> float:
