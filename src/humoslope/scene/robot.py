@@ -22,6 +22,7 @@ class Robot:
         foot_bodies: Left and right foot.
         foot_sites: Left and right sole centre, z axis up out of the foot.
         foot_geoms: Names of the geoms that touch the ground under the left and the right foot.
+        shin_bodies: Left and right lower leg; only these and the feet may touch the ground without it being a fall.
         joint_names: The actuated joints, in the order of actions and of the deployed controller.
         default_joint_pos: Pose that a zero action holds, rad.
         default_root_height: Height of `root_body` over the soles' ground in that pose, m.
@@ -40,6 +41,7 @@ class Robot:
     foot_bodies: tuple[str, str]
     foot_sites: tuple[str, str]
     foot_geoms: tuple[tuple[str, ...], tuple[str, ...]]
+    shin_bodies: tuple[str, str]
     joint_names: tuple[str, ...]
     default_joint_pos: tuple[float, ...]
     default_root_height: float
