@@ -176,6 +176,7 @@ def _add_drive(spec: mujoco.MjSpec, name: str, drive: Drive) -> None:
 UNITREE_G1 = Robot(
     name="unitree_g1",
     make_spec=make_spec,
+    urdf=URDF,
     root_body="pelvis",
     torso_body="torso_link",
     imu_site="imu_in_pelvis",

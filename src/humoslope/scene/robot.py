@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 
@@ -16,6 +17,7 @@ class Robot:
         name: Shown in tables and messages.
         make_spec: Builds a fresh `MjSpec`: a free joint on `root_body`, one position actuator per joint (same names and
             order as `joint_names`), a site at each sole, and no ground.
+        urdf: The same links and joints with shapes to draw, for viewers.
         root_body: The body that carries the free joint.
         torso_body: The body that carries the upper body; the harness acts on it.
         imu_site: Where angular velocity and gravity are measured.
@@ -35,6 +37,7 @@ class Robot:
 
     name: str
     make_spec: Callable[[], mujoco.MjSpec]
+    urdf: Path
     root_body: str
     torso_body: str
     imu_site: str
