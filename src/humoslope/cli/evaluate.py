@@ -25,9 +25,12 @@ from humoslope.errors import UserError
 from humoslope.evaluation import saved
 from humoslope.evaluation.heldout import HeldOutTrials, Relay, held_out_env_cfg, walk
 from humoslope.evaluation.live import Progress, cell_table, view
+from humoslope.evaluation.paper import read_paper
 from humoslope.evaluation.protocol import HeldOutProtocol, sweep_protocol
 from humoslope.evaluation.records import each
+from humoslope.evaluation.results import read_report, tell
 from humoslope.evaluation.sweep import ENOUGH, SlopeLimit, slope_limit
+from humoslope.evaluation.tables import ablation_table, cells_table, diagnostics_table, main_table
 from humoslope.files import check_place, write_text
 from humoslope.registry import build_task, load_content
 from humoslope.rl.policy import Provenance, find_checkpoint, load_actor, read_provenance
@@ -188,13 +191,26 @@ def _conclude(
         console.print(evaluation.source.training, soft_wrap=True, highlight=False)
         warn(console, evaluation.env.sim.warnings())
     report = _report(evaluations, trials, options) | {
+        "trials": wanted,
         "partial": partial,
         "slope_limit": None if limit is None else plain(limit),
         "command_line": shlex.join(["humoslope", "evaluate", *arguments]),
     }
-    path = _beside(out, ".json")
-    write_text(path, json.dumps(report, indent=2, allow_nan=False) + "\n")
-    console.print(f"wrote {path}", soft_wrap=True)
+    results = [read_report(report)]
+    sheets = [cells_table(results)]
+    if not options.sweep:
+        paper = read_paper()
+        sheets = [main_table(results, paper), ablation_table(results, paper), diagnostics_table(results), *sheets]
+        sheets[0].show()
+    texts = {
+        ".json": json.dumps(report, indent=2, allow_nan=False) + "\n",
+        ".csv": sheets[-1].to_csv(),
+        ".md": "\n".join(sheet.to_markdown() for sheet in sheets),
+    }
+    for end, text in texts.items():
+        path = _beside(out, end)
+        write_text(path, text)
+        console.print(f"wrote {path}", soft_wrap=True)
 
 
 def _limit(trials: HeldOutTrials, protocol: HeldOutProtocol) -> SlopeLimit:
@@ -222,9 +238,16 @@ def _report(evaluations: list[_Evaluation], trials: HeldOutTrials, options: Opti
         "lanes": options.lanes,
         "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
         "wall_clock_s": round(sum(e.seconds for e in evaluations), 1),
-        "trials": len(trials),
         "finished": int(trials.finished.sum()),
         "successes": int(trials.success.sum()),
+        **tell(
+            trials[trials.finished],
+            grades=options.protocol.grades,
+            tiers=options.protocol.tiers,
+            segments=options.protocol.find_course().segments,
+            speed=options.protocol.speed,
+            mass=env.robot.total_mass,
+        ),
     }
 
 

@@ -14,7 +14,7 @@ from humoslope.files import check_place
 from humoslope.replay.meshes import load_meshes
 from humoslope.replay.rollout import load_rollout
 from humoslope.replay.rrd import write_rrd
-from humoslope.replay.viewer import open_window, served
+from humoslope.replay.viewer import has_display, open_window, served
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,5 +59,6 @@ def run(arguments: list[str]) -> None:
             return
         with served(path, options.web_port, options.port) as address:
             print(f"{address}\nCtrl-C ends it.", flush=True)
-            webbrowser.open(address)
+            if has_display():  # otherwise Python would open a browser in the terminal
+                webbrowser.open(address)
             threading.Event().wait()

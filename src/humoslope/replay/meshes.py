@@ -87,5 +87,7 @@ def _download(source: MeshSource, folder: Path) -> Path:
             raise UserError(
                 f"the {what} that was downloaded does not have the SHA-256 {source.sha256}; it was not kept."
             )
+        if "No module named pip" in done.stderr:
+            raise UserError(f"pip is needed to fetch {what}, and is not installed for {sys.executable}.")
         raise UserError(f"{what}, which carries the meshes, could not be downloaded; is there a network?")
     return next(folder.glob("*.whl"))
