@@ -159,7 +159,7 @@ class ManagerBasedRlEnv:
         self.diverged = broken = self.sim.diverged()
         self._wreck.add(self._qpos, self._qvel, broken)
         self.signals.refresh(broken)
-        self.episode_length_buf += 1
+        self.episode_length_buf = self.episode_length_buf + 1  # the log keeps the old one
 
         done = self.terminations.compute() | broken
         terminated, time_outs = self.terminations.terminated | broken, self.terminations.time_outs & ~broken
