@@ -157,7 +157,9 @@ class ManagerBasedRlEnv:
         self.actions.process(action)
         self.sim.step(self.cfg.sim.decimation)
         self.diverged = broken = self.sim.diverged()
-        self._wreck.add(self._qpos, self._qvel, broken)
+        self._wreck.add(self._qpos, self._qvel)
+        if not self.sim.known_empty(broken):
+            self._wreck.keep(broken)
         self.signals.refresh(broken)
         self.episode_length_buf = self.episode_length_buf + 1  # the log keeps the old one
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-
 PATIENCE = 32
 """Additions to a name that wait to be summed together: summing is dearer than keeping."""
 
