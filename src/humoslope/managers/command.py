@@ -60,7 +60,6 @@ class CommandManager:
                 raise UserError(f"command: {name} {getattr(cfg, name)} must be between 0 and 1.")
         self._env, self.cfg = env, cfg
         self.velocity = env.zeros(3)  # [N, 3] forward, left (m/s), yaw rate (rad/s)
-        self._linear = env.zeros(2)  # [N, 2] m/s
         self._yaw_rate = env.zeros()  # [N] of the worlds without a heading target
         self._steers = env.zeros(dtype=torch.bool)  # [N]
         self._stands = env.zeros(dtype=torch.bool)  # [N]
@@ -75,29 +74,27 @@ class CommandManager:
 
     def reset(self, mask: Tensor) -> None:
         """Draws new commands for the worlds in `mask`."""
-        self._draw(mask)
-        self._steer()
+        self._steer(self._draw(mask))
 
     def step(self, dt: float) -> None:
         """Lets `dt` seconds pass: commands whose time is over are drawn again, the others steer on."""
         self._time_left = self._time_left - dt
         over = self._time_left <= 0.0
-        if not self._env.sim.known_empty(over):
-            self._draw(over)
-        self._steer()
+        self._steer(self.velocity[:, :2] if self._env.sim.known_empty(over) else self._draw(over))
 
-    def _draw(self, mask: Tensor) -> None:
+    def _draw(self, mask: Tensor) -> Tensor:
+        """New linear velocities [N, 2] for the worlds in `mask`, among those of the others."""
         random = torch.rand(self._env.num_envs, 6, device=self._env.device)
         drawn = torch.lerp(self._low, self._high, random[:, :4])  # [N, 4]
         self._stands = torch.where(mask, random[:, 4] < self.cfg.standing_share, self._stands)
         self._steers = torch.where(mask, random[:, 5] < self.cfg.heading_share, self._steers)
-        linear = torch.where(mask[:, None], drawn[:, :2], self._linear)
-        self._linear = linear.masked_fill(self._stands[:, None], 0.0)
         self._yaw_rate = torch.where(mask, drawn[:, 2], self._yaw_rate)
         self._time_left = torch.where(mask, drawn[:, 3], self._time_left)
+        linear = torch.where(mask[:, None], drawn[:, :2], self.velocity[:, :2])
+        return linear.masked_fill(self._stands[:, None], 0.0)
 
-    def _steer(self) -> None:
-        self.velocity = torch.cat([self._linear, self._turn()[:, None]], dim=1)
+    def _steer(self, linear: Tensor) -> None:
+        self.velocity = torch.cat([linear, self._turn()[:, None]], dim=1)
 
     def _turn(self) -> Tensor:
         cfg, signals = self.cfg, self._env.signals

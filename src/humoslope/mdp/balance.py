@@ -62,7 +62,7 @@ class ZmpRegulariser(StatefulTerm):
         signals = env.signals
         raw = self._rate(signals.com_lin_vel_w).clamp(-self._acc_limit, self._acc_limit)
         self._com_acc = self._smoothing * self._com_acc + (1.0 - self._smoothing) * raw
-        force = signals.foot_force_w.norm(dim=2)  # [N, 2]
+        force = signals.foot_force
         anchor = zmp.support_anchor(signals.foot_pos_w, force, self._epsilon)
         deviation, valid = zmp.zmp_deviation(
             signals.com_pos_w, self._com_acc, anchor, self._plane_normal(env, force), self._least_pressure

@@ -72,7 +72,7 @@ def foot_contact(env: Env) -> Tensor:
 @mirrored_as(mirror.feet)
 def foot_load(env: Env) -> Tensor:
     """Ground force on each foot in units of body weight, [N, 2]."""
-    return env.signals.foot_force_w.norm(dim=2) / (env.robot.total_mass * 9.81)
+    return env.signals.foot_force / (env.robot.total_mass * 9.81)
 
 
 @mirrored_as(mirror.feet)
