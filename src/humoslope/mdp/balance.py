@@ -61,7 +61,7 @@ class ZmpRegulariser(StatefulTerm):
     def __call__(self, env: Env) -> Tensor:
         signals = env.signals
         raw = self._rate(signals.com_lin_vel_w).clamp(-self._acc_limit, self._acc_limit)
-        self._com_acc = self._smoothing * self._com_acc + (1.0 - self._smoothing) * raw
+        self._com_acc = torch.lerp(raw, self._com_acc, self._smoothing)
         force = signals.foot_force
         anchor = zmp.support_anchor(signals.foot_pos_w, force, self._epsilon)
         deviation, valid = zmp.zmp_deviation(

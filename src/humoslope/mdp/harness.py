@@ -92,11 +92,11 @@ class WithdrawHarness(StatefulTerm):
         return self._harness.scale
 
     def __call__(self, env: Env, mask: Tensor) -> Tensor:
-        falls = env.terminations.terminated.to(torch.float32).mean() / env.step_dt
+        falls = env.terminations.terminated.mean(dtype=torch.float32) / env.step_dt
         asked, walked = env.commands.velocity[:, 0], env.signals.root_lin_vel_t[:, 0]
         speed = (walked * (asked > 0.0)).sum() / asked.sum().clamp(min=1e-6)
-        self._falls = self._keep * self._falls + (1.0 - self._keep) * falls
-        self._speed = self._keep * self._speed + (1.0 - self._keep) * speed
+        self._falls = torch.lerp(falls, self._falls, self._keep)
+        self._speed = torch.lerp(speed, self._speed, self._keep)
         able = (self._falls < self._most_falls) & (self._speed > self._least_speed)
         self._harness.scale = (self._harness.scale - self._rate * env.step_dt * able).clamp(min=0.0)
         return self._harness.scale

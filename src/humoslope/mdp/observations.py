@@ -110,5 +110,5 @@ def height_scan(env: Env, size: int = 7, spacing: float = 0.2, clip: float = 1.0
         clip: Largest absolute value, m.
     """
     ground = env.signals.ground_scan(_grid(size, spacing, env.device))
-    height = env.signals.root_pos_w[:, 2:3] - ground - env.robot.default_root_height
+    height = (env.signals.root_pos_w[:, 2:3] - env.robot.default_root_height) - ground
     return height.clamp(-clip, clip)
