@@ -111,3 +111,17 @@ def test_without_a_display_replay_says_how_else_to_look(
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr("sys.platform", "linux")
     assert "there is no display" in mistake("replay", str(walked))
+
+
+def test_meshes_are_asked_for_by_the_name_of_a_robot(
+    mistake: Callable[..., str], walked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "robot with meshes 'unitree_g2' does not exist; did you mean 'unitree_g1'?" in mistake(
+        "meshes", "unitree_g2"
+    )
+    assert "`humoslope meshes` fetches them" in mistake("replay", str(walked), "--meshes", "--save", "walk.rrd")
+    fetched = []
+    monkeypatch.setattr("humoslope.cli.meshes.fetch_meshes", lambda name, source: fetched.append(name) or Path("."))
+    assert main(["meshes"]) == 0
+    assert fetched == ["unitree_g1"]
