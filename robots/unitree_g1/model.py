@@ -176,6 +176,7 @@ def _add_drive(spec: mujoco.MjSpec, name: str, drive: Drive) -> None:
 UNITREE_G1 = Robot(
     name="unitree_g1",
     make_spec=make_spec,
+    urdf=URDF,
     root_body="pelvis",
     torso_body="torso_link",
     imu_site="imu_in_pelvis",
@@ -185,6 +186,7 @@ UNITREE_G1 = Robot(
         tuple(f"left_foot{i}_collision" for i in range(1, 5)),
         tuple(f"right_foot{i}_collision" for i in range(1, 5)),
     ),
+    shin_bodies=("left_knee_link", "right_knee_link"),
     joint_names=tuple(DRIVES),
     default_joint_pos=tuple(KNEES_BENT.get(name, 0.0) for name in DRIVES),
     default_root_height=0.757,  # the heels just touch; Unitree starts at 0.76

@@ -62,7 +62,7 @@ class World:
 @pytest.fixture(scope="module")
 def every_kind() -> Terrain:
     return TerrainGrid(
-        columns=dict.fromkeys(registry.names(), 1.0), levels=4, num_columns=2 * len(registry.names())
+        columns=dict.fromkeys(registry.training_names(), 1.0), levels=4, num_columns=2 * len(registry.training_names())
     ).build()
 
 
@@ -78,7 +78,7 @@ def on_tile(terrain: Terrain, level: int, column: int, count: int) -> NDArray[np
     return np.stack((x, y), axis=1).astype(np.float32)
 
 
-@pytest.mark.parametrize("name", registry.names())
+@pytest.mark.parametrize("name", registry.training_names())
 def test_height_and_normal_on_every_kind_are_those_a_ray_finds(
     name: str, every_kind: Terrain, every_kind_world: World
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,11 @@ class ObservationTerm(Term):
     scale: float = 1.0
 
 
+def any_noise(env: Env, frame: Tensor) -> Tensor:
+    """Numbers in [0, 1) from torch's generator, in the shape of `frame` [N, D]."""
+    return torch.rand_like(frame)
+
+
 @dataclass
 class ObservationGroup(Strict):
     """Terms concatenated into one vector.
@@ -38,11 +44,13 @@ class ObservationGroup(Strict):
     Attributes:
         history: Number of control steps it spans; each term's frames stand together, oldest first.
         corrupt: Whether noise is added.
+        noise_source: `func(env, frame [N, D]) -> [N, D]`, the uniform numbers in [0, 1) that noise is made of.
     """
 
     terms: Terms[ObservationTerm] = field(default_factory=Terms)
     history: int = 1
     corrupt: bool = False
+    noise_source: Callable[..., Tensor] = any_noise
 
 
 class ObservationManager:
@@ -104,7 +112,7 @@ class _Group:
     def compute(self, restarted: Tensor) -> Tensor:
         frame = torch.cat([call(self.env) for call in self._calls.values()], dim=1)
         if self.cfg.corrupt:
-            frame = frame + (2.0 * torch.rand_like(frame) - 1.0) * self._noise
+            frame = frame + (2.0 * self.cfg.noise_source(self.env, frame) - 1.0) * self._noise
         frame = frame * self._scale
         if self.cfg.history == 1:
             return frame

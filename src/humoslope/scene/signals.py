@@ -89,7 +89,9 @@ class Signals:
         self.foot_lin_vel_w = feet("foot_lin_vel_w")
         self.foot_force_w = feet("foot_force_w")
         self.foot_contact = self.foot_force_w.norm(dim=2) > CONTACT_FORCE
-        self.body_force = (data[:, take["robot_force_w"]] - self.foot_force_w.sum(dim=1)).norm(dim=1)
+        self._body_force_w = data[:, take["robot_force_w"]] - self.foot_force_w.sum(dim=1)
+        self.body_force = self._body_force_w.norm(dim=1)
+        self._shin_force_w = feet("shin_force_w")
 
         self.projected_gravity_b = -quaternion.up_in_body(self.root_quat_w)
         self.root_lin_vel_b = quaternion.rotate_inverse(self.root_quat_w, self.root_lin_vel_w)
@@ -110,6 +112,11 @@ class Signals:
         self._forward_w = torch.nn.functional.normalize(torch.stack([cos, sin, rise], dim=1), dim=1)
         self._left_w = torch.linalg.cross(n, self._forward_w)
         self.root_lin_vel_t = self.along_ground(self.root_lin_vel_w)
+
+    @property
+    def upper_force(self) -> Tensor:
+        """[N] ground force on everything but feet and shins, N; computed when asked for."""
+        return (self._body_force_w - self._shin_force_w.sum(dim=1)).norm(dim=1)
 
     def along_ground(self, v: Tensor) -> Tensor:
         """Vectors `v` [N, 3] of the world frame, in the slope frame of the robot's heading:

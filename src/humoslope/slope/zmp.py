@@ -64,8 +64,10 @@ def presses_on_plane(apparent: Tensor, normal: Tensor, least: float) -> Tensor:
     return (apparent * normal).sum(-1) <= -least
 
 
-def zmp_deviation(com: Tensor, com_acc: Tensor, anchor: Tensor, normal: Tensor, least: float) -> tuple[Tensor, Tensor]:
-    """Distance d_zmp between zero-moment point and anchor in the support plane, and whether it is defined.
+def zero_moment_point(
+    com: Tensor, com_acc: Tensor, anchor: Tensor, normal: Tensor, least: float
+) -> tuple[Tensor, Tensor]:
+    """Zero-moment point on the support plane, and whether it is defined.
 
     Args:
         com: Whole-body centre of mass.
@@ -75,11 +77,11 @@ def zmp_deviation(com: Tensor, com_acc: Tensor, anchor: Tensor, normal: Tensor, 
         least: Smallest pressure of the apparent force on the plane, m/s^2.
 
     Returns:
-        Deviation [...] in m (zero where undefined), and a bool mask [...].
+        Point [..., 3] (the anchor where it is undefined), and a bool mask [...].
     """
     apparent = apparent_force(com_acc)
     valid = presses_on_plane(apparent, normal, least)
+    there = valid.unsqueeze(-1)
     # Where it is undefined a harmless ray is used, so that no infinity arises that a mask could not remove.
-    safe = torch.where(valid.unsqueeze(-1), apparent, -GRAVITY * normal)
-    deviation = (zmp_on_plane(com, safe, anchor, normal) - anchor).norm(dim=-1)
-    return torch.where(valid, deviation, torch.zeros_like(deviation)), valid
+    safe = torch.where(there, apparent, -GRAVITY * normal)
+    return torch.where(there, zmp_on_plane(com, safe, anchor, normal), anchor), valid
