@@ -9,7 +9,7 @@ import os
 import threading
 import zipfile
 from collections.abc import Iterator
-from functools import partial
+from functools import cache, partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from robots.unitree_g1 import UNITREE_G1
 RED, BLUE = (255, 0, 0), (0, 0, 255)
 
 
+@cache
 def wheel() -> bytes:
     """A package with a box and a ball."""
     content = io.BytesIO()

@@ -67,6 +67,8 @@ def load_meshes(robot: str, cache: Path = CACHE) -> dict[str, Shape]:
 
 def _shape(folder: Path, file: str, colour: list[int], position: list[float]) -> Shape:
     mesh = trimesh.load_mesh(folder / file)
+    if not len(mesh.faces):  # what trimesh makes of most files that are no mesh
+        raise ValueError(file)
     return Shape(
         vertices=(mesh.vertices + position).astype(np.float32),
         normals=mesh.vertex_normals.astype(np.float32),
