@@ -1,4 +1,4 @@
-"""`humoslope evaluate`: table and files, several checkpoints, the sweep, going on after an interruption, and mistakes."""
+"""`humoslope evaluate`: table and files, several checkpoints, the sweep, stopping and going on, and mistakes."""
 
 from __future__ import annotations
 
