@@ -1,4 +1,4 @@
-"""`humoslope evaluate`: table and files, several checkpoints, the sweep, stopping and going on, and mistakes."""
+"""`humoslope evaluate`: table and files, several checkpoints, the sweep, interruptions, and mistakes."""
 
 from __future__ import annotations
 
