@@ -162,3 +162,7 @@ def test_an_impossible_option_is_said_in_one_sentence(
 def test_what_is_no_checkpoint_is_said_in_one_sentence(mistake: Callable[..., str], tmp_path: Path) -> None:
     assert "needs a checkpoint" in mistake("evaluate")
     assert "does not exist" in mistake("evaluate", str(tmp_path / "missing.pt"))
+
+
+def test_a_checkpoint_that_is_given_twice_is_refused(mistake: Callable[..., str], untrained: Path) -> None:
+    assert "is given twice" in mistake("evaluate", str(untrained), str(untrained))
