@@ -144,9 +144,9 @@ def _failure(code: int, said: IO[str]) -> UserError:
     """Why the viewer ended, from what it wrote to its error stream."""
     said.seek(0)
     text = said.read()
-    if "adapter" in text or "render context" in text:
+    if any(word in text.lower() for word in ("graphics driver", "adapter", "render context")):
         return UserError(
-            "rerun finds no graphics driver; install one for Vulkan (on Debian: mesa-vulkan-drivers), "
+            "rerun finds no graphics driver it can draw with; install one for Vulkan (on Debian: mesa-vulkan-drivers), "
             "look from a browser with --web, or make a video with `humoslope video`."
         )
     last = text.strip().splitlines()[-1].strip().rstrip(".") if text.strip() else "it said nothing"
