@@ -5,7 +5,7 @@ STAMP := .venv/.installed
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 ramps curve terrain list bench test lint types check format clean
+.PHONY: help setup train-stage1 train-stage2 ramps calibrate curve terrain list bench test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -23,8 +23,14 @@ $(STAMP): pyproject.toml constraints.txt
 train-stage1: $(STAMP) ## Train Stage I; ARGS="--resume latest" goes on with the newest run
 	$(BIN)/humoslope train HumoSlope-Stage1-Unitree-G1 $(ARGS)
 
+train-stage2: $(STAMP) ## Train Stage II from the newest Stage I and its calibration
+	$(BIN)/humoslope train HumoSlope-Stage2-Unitree-G1 $(ARGS)
+
 ramps: $(STAMP) ## Evaluate CHECKPOINT on flat ground and on ramps
 	$(BIN)/humoslope ramps $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
+
+calibrate: $(STAMP) ## Fit the swing reference of Stage II to the Stage-I CHECKPOINT
+	$(BIN)/humoslope calibrate $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
 
 curve: $(STAMP) ## Draw the learning curve of RUN, a run folder
 	$(BIN)/humoslope curve $(call need,RUN,logs/...) $(ARGS)

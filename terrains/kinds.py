@@ -13,6 +13,8 @@ from terrains.surfaces import banked, rough, smooth, striped, wavy
 
 STEEPEST = 32.0
 """Degrees; a little beyond the 30 degrees that policies are measured on."""
+STEEPEST_TRACK = 35.0
+"""Degrees; Stage II goes on where Stage I ends."""
 MAX_BANK = 8.0
 """Degrees."""
 BUMP = 0.03
@@ -85,7 +87,7 @@ def banked_ground(x: Array, y: Array, grade: float, rng: np.random.Generator) ->
     return flat(x) + banked(x, y, grade * rng.choice((-1.0, 1.0)))
 
 
-@terrain("compound", grade=(0.0, STEEPEST))
+@terrain("compound", grade=(0.0, STEEPEST_TRACK))
 def compound(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
     """Two ramps, up and down in random order, with a flat between; lengths, order and the surface of each are random.
 

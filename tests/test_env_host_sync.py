@@ -14,8 +14,8 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.managers import ObservationTerm
-from humoslope.mdp import observations
+from humoslope.managers import ObservationTerm, RewardTerm
+from humoslope.mdp import gait, observations
 from humoslope.slope.descriptor import phi5
 
 aten = torch.ops.aten
@@ -117,6 +117,11 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
 ) -> None:
     def change(cfg: EnvCfg) -> None:
         cfg.observations.critic.terms.terrain_descriptor = ObservationTerm(observations.terrain_descriptor)
+        cfg.rewards.com_height = RewardTerm(gait.ComHeight, {"nominal": 0.69})
+        cfg.rewards.hip = RewardTerm(gait.HipPropulsion)
+        cfg.rewards.brake = RewardTerm(gait.KneeBraking)
+        cfg.rewards.stride = RewardTerm(gait.Stride)
+        cfg.rewards.swing = RewardTerm(gait.SwingHip, {"beta0": 0.45, "beta1": 1.0, "theta_clip": 0.5})
 
     env = make_stage1(16, change)
     actions = [0.3 * torch.randn(16, 29) for _ in range(20)]

@@ -2,25 +2,55 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
+EXAMPLES = ROOT / "experiments" / "examples"
+TINY = [
+    *("--preset", "cpu", "--env.num-envs", "4", "--env.sim.device", "cpu", "--env.scene.terrain.levels", "2"),
+    *("--env.scene.terrain.num-columns", "2", "--agent.num-steps-per-env", "4", "--agent.num-learning-epochs", "1"),
+    *("--agent.num-mini-batches", "2", "--agent.hidden-dims", "16", "16", "--agent.max-iterations", "1"),
+]
 
-USE = """
-from humoslope.registry import build_task
-terrain = build_task("HumoSlope-Gravel-Unitree-G1").env.scene.terrain.build()
-assert set(terrain.kind) == {"gravel-ramp", "flat"} and terrain.grade.max() == 35.0
-"""
+
+@pytest.fixture
+def checkout(tmp_path):
+    """What a user has after adding the two example files; returns how to run `humoslope` there."""
+    for folder in ("src", "robots", "terrains", "tasks"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for kind in ("terrains", "tasks"):
+        shutil.copy(EXAMPLES / kind / "gravel.py", tmp_path / kind)
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path / 'src'}{os.pathsep}{tmp_path}"}
+
+    def humoslope(*arguments: str) -> str:
+        code = "import sys; from humoslope.cli import main; sys.exit(main())"
+        command = [sys.executable, "-c", code, *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return humoslope
 
 
-def test_a_terrain_and_a_task_can_be_added_as_the_readme_says():
-    blocks = re.findall(r"```python\n(# terrains/.*?|# tasks/.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert len(blocks) == 2
-    # In a process of its own: what is registered stays registered.
-    program = "\n".join(["from humoslope.registry import load_content", "load_content()", *blocks, USE])
-    program = program.replace("from __future__ import annotations\n", "")
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+@pytest.mark.parametrize("kind", ["terrains", "tasks"])
+def test_the_readme_shows_the_examples_as_they_are(kind):
+    shown = re.search(rf"```python\n# {kind}/gravel.py\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert shown is not None
+    assert shown[1] == (EXAMPLES / kind / "gravel.py").read_text()
+
+
+def test_a_terrain_and_a_task_are_added_by_a_file_each(checkout, tmp_path):
+    listed = checkout("list")
+    assert "gravel-ramp" in listed
+    assert "HumoSlope-Gravel-Unitree-G1" in listed
+    checkout("terrain", "gravel-ramp", "--out", "gravel.png")
+    assert (tmp_path / "gravel.png").read_bytes().startswith(b"\x89PNG")
+    checkout("train", "HumoSlope-Gravel-Unitree-G1", "--run-dir", "run", *TINY)
+    assert (tmp_path / "run" / "model_0.pt").is_file()

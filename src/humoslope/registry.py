@@ -17,11 +17,27 @@ from humoslope.strict import Strict
 
 
 @dataclass
+class WarmStart(Strict):
+    """The task that another one goes on from: with its actor, and with what was measured of it.
+
+    Attributes:
+        task: Name of the earlier task.
+        shipped: A checkpoint of it that comes with the checkout, for who has trained none; "" for none.
+        calibrated: Name of the reward that the swing calibration of the earlier checkpoint sets; "" for none.
+    """
+
+    task: str
+    shipped: str = ""
+    calibrated: str = ""
+
+
+@dataclass
 class TaskCfg(Strict):
-    """A task: the environment, and how it is learnt."""
+    """A task: the environment, how it is learnt, and what it starts from (None: from nothing)."""
 
     env: EnvCfg
     agent: AgentCfg
+    start: WarmStart | None = None
 
 
 TaskFunction = Callable[[], TaskCfg]

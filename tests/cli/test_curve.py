@@ -9,7 +9,7 @@ import pytest
 from torch.utils.tensorboard import SummaryWriter
 
 from humoslope.cli import main
-from humoslope.evaluation.curve import PANELS, STEPS
+from humoslope.evaluation.curve import PANELS, STEPS, read_table
 
 
 @pytest.fixture
@@ -40,3 +40,23 @@ def test_mistakes_are_said_in_one_sentence(mistake: Callable[..., str], run_dir:
     (tmp_path / "empty").mkdir()
     assert "holds no curves" in mistake("curve", str(tmp_path / "empty"))
     assert "cannot write the curve" in mistake("curve", str(run_dir), "--out", str(tmp_path / "a.docx"))
+
+
+def test_a_run_goes_on_from_the_table_that_is_kept_of_it(run_dir: Path, tmp_path: Path) -> None:
+    table, later = tmp_path / "kept.csv", tmp_path / "later"
+    assert main(["curve", str(run_dir), "--table", str(table)]) == 0
+    writer = SummaryWriter(later)  # resumed from iteration 40 on another machine
+    for i in range(40, 60):
+        writer.add_scalar(STEPS, 12288.0 * (i + 1), i)
+        writer.add_scalar("Train/reward", 7.0, i)
+    writer.close()
+    assert main(["curve", str(later), "--table", str(table)]) == 0
+    kept = read_table(table)
+    assert kept[STEPS] == {i: 12288.0 * (i + 1) for i in range(60)}
+    assert kept["Train/reward"] == {i: 7.0 if i >= 40 else i / 50.0 for i in range(60)}
+    assert list(kept["Train/episode_length"]) == list(range(40))
+
+
+def test_a_foreign_table_is_refused(mistake: Callable[..., str], run_dir: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x,y\n1,2\n")
+    assert "is not a table of curves" in mistake("curve", str(run_dir), "--table", str(tmp_path / "a.csv"))

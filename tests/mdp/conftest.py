@@ -45,6 +45,26 @@ class Posed:
                 columns = slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
                 self._readings["sensordata"][0, columns] = torch.as_tensor(np.array(vector), dtype=torch.float32)
 
+    def stand(self, **joints: float) -> None:
+        """Puts the G1 on the slope, the default pose but for these joints (rad), the lower sole on the ground."""
+        data = mujoco.MjData(self._model)
+        data.qpos[3:] = [1.0, 0.0, 0.0, 0.0, *UNITREE_G1.default_joint_pos]
+        for name, angle in joints.items():
+            data.joint(name).qpos = angle
+        for _ in range(2):  # the second time at the height that the first one found
+            data.qpos[2] -= self.signals.foot_height.min().item()
+            mujoco.mj_forward(self._model, data)
+            self._readings["sensordata"][0] = torch.as_tensor(data.sensordata, dtype=torch.float32)
+            self.signals.refresh()
+
+    def put_joints(self, vel: torch.Tensor, torque: torch.Tensor, pos: torch.Tensor | None = None) -> None:
+        """Writes the readings of all joints [J], rad/s, Nm and rad; without `pos` they stay where they are."""
+        self._readings["actuator_force"][0] = torque
+        for kind, values in (("joint_vel", vel), ("joint_pos", pos)):
+            if values is not None:
+                first = self._model.sensor(f"{kind}/{UNITREE_G1.joint_names[0]}").adr[0]
+                self._readings["sensordata"][0, first : first + len(values)] = values
+
 
 def plane(slope: float, uphill: float = 0.0) -> Terrain:
     """Ground that rises by `slope` degrees towards `uphill` degrees, and is at height 0 in its middle."""

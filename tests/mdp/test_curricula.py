@@ -159,3 +159,17 @@ def test_a_world_knows_the_place_and_the_grade_of_its_tile(env):
 def test_shares_that_contradict_each_other_are_refused(env, up, down):
     with pytest.raises(UserError, match="must be shares with 0 < down < up <= 1"):
         TerrainLevels(env, up=up, down=down)
+
+
+@pytest.mark.parametrize(("spread", "levels"), [(0.0, 1), (0.4, 2), (1.0, LEVELS)])
+def test_worlds_may_start_spread_over_the_levels(env, spread, levels):
+    seen = set()
+    for _ in range(30):
+        TerrainLevels(env, spread=spread)
+        seen |= set(env.tiles.level.tolist())
+    assert seen == set(range(levels))
+
+
+def test_a_spread_that_is_no_share_is_refused(env):
+    with pytest.raises(UserError, match="spread 1.5 must be between 0 and 1"):
+        TerrainLevels(env, spread=1.5)

@@ -13,6 +13,7 @@ VERBS = {
     "list": "List the registered tasks and terrains.",
     "terrain": "Draw a terrain to a PNG.",
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
+    "calibrate": "Fit the swing reference of Stage II to a Stage-I checkpoint.",
     "curve": "Draw the learning curve of a run.",
     "bench": "Measure speed and memory.",
 }

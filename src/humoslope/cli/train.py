@@ -13,12 +13,14 @@ from rich.console import Console
 
 from humoslope.cli.options import early, parse
 from humoslope.cli.overrides import merge_options
+from humoslope.cli.warm_start import Origin, find_origin
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.files import check_place
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
 from humoslope.rl import checkpoint
 from humoslope.rl.config import Preset
+from humoslope.rl.policy import read_provenance
 from humoslope.rl.rundir import describe_run, find_run, tee
 from humoslope.rl.runner import Runner, seed_everything
 
@@ -31,13 +33,17 @@ class TrainArgs:
         preset: Scale: "cpu", "gpu", or "auto" for what the machine has.
         resume: A run folder, or "latest": continue its last checkpoint, with the options it was started with.
         run_dir: Folder of a new run. By default logs/TASK/TIME.
-        init: A checkpoint of any task to take the actor from; training starts at iteration 0.
+        init: A checkpoint, or a run folder for its newest one, to take the actor from; training starts at iteration 0.
+            A task that goes on from another one finds it by itself.
+        calibration: A swing calibration, or "prior" for the values in the task's configuration. By default the one
+            beside the checkpoint that is started from.
     """
 
     preset: Preset = "auto"
     resume: str = ""
     run_dir: str = ""
     init: str = ""
+    calibration: str = ""
 
 
 def run(arguments: list[str]) -> None:
@@ -52,17 +58,21 @@ def run(arguments: list[str]) -> None:
     task, options = arguments[0], arguments[1:]
     build_task(task)  # a typing mistake in the name is said before anything else
 
-    which = early(TrainArgs(), task, options).resume
-    resumed = find_run(task, which) if which else None
+    own = early(TrainArgs(), task, options)
+    resumed = find_run(task, own.resume) if own.resume else None
     if resumed is not None:
-        options = merge_options(_saved_options(resumed), options)
+        origin, options = Origin(), merge_options(_saved_options(resumed), options)
+    else:
+        origin = find_origin(build_task(task).start, own.init, own.calibration)
+        options = merge_options([*origin.options], options)  # what the user typed wins
     cfg, args = parse(TrainArgs(), task, options)
     # A resumed run keeps its scale on any machine.
-    kept = merge_options(options, ["--preset", args.preset], without=("--resume", "--run-dir", "--init"))
-    _train(task, cfg, args, resumed, kept)
+    once = ("--resume", "--run-dir", "--init", "--calibration")
+    kept = merge_options(options, ["--preset", args.preset], without=once)
+    _train(task, cfg, args, resumed, origin, kept)
 
 
-def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, options: list[str]) -> None:
+def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, origin: Origin, options: list[str]) -> None:
     rank, world_size = int(os.getenv("RANK", "0")), int(os.getenv("WORLD_SIZE", "1"))
     if world_size > 1:
         cfg.env.sim.device = f"cuda:{os.environ['LOCAL_RANK']}"
@@ -78,21 +88,26 @@ def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, optio
         checkpoint.load(start, task)
     elif rank == 0:
         _check_new(run_dir)
-    init = Path(args.init) if args.init and start is None else None
-    if init is not None:
-        checkpoint.load(init)
     env = ManagerBasedRlEnv(cfg.env)
     with tee(run_dir / "console.log" if rank == 0 else None) as console:
         runner = Runner(task, env, cfg.agent, run_dir if rank == 0 else None, console)
         if start is not None:
             runner.resume(start)
-        elif init is not None:
-            runner.warm_start(init)
+        elif origin.path is not None:
+            runner.warm_start(origin.path)
         if rank == 0:
             describe_run(run_dir, task, cfg, options)
         _introduce(console, task, env, run_dir)
         if start is not None:
             console.print(f"Resumed from {start}.")
+        if origin.path is not None:
+            earlier = read_provenance(origin.path)
+            console.print(
+                f"Starts from the actor of {origin.path}: {earlier.task}, iteration {earlier.iteration}, "
+                f"{earlier.total_steps / 1e6:.2f} M steps. {earlier.training} {origin.calibration}",
+                soft_wrap=True,
+                highlight=False,
+            )
         runner.train()
 
 

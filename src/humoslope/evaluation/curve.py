@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +14,13 @@ from tensorboard.backend.event_processing.event_accumulator import SCALARS, Even
 
 from humoslope.errors import UserError
 from humoslope.evaluation.statistics import Array
+from humoslope.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 STEPS = "Perf/total_steps"
+ITERATION = "iteration"
 INK, LINE = "#333333", "#1f6f8b"
 
 
@@ -59,13 +63,47 @@ def read_curves(run_dir: Path) -> dict[str, Curve]:
         raise UserError(f"run folder '{run_dir}' holds no curves (events.out.tfevents.*).")
     merged: dict[str, Curve] = {}
     for _, curves in sorted(parts, key=lambda part: part[0]):
-        first = min(min(curve) for curve in curves.values())
-        for curve in merged.values():
-            for iteration in [i for i in curve if i >= first]:
-                del curve[iteration]
-        for tag, curve in curves.items():
-            merged.setdefault(tag, {}).update(curve)
+        merged = continued(merged, curves)
+    return merged
+
+
+def continued(earlier: Mapping[str, Curve], later: Mapping[str, Curve]) -> dict[str, Curve]:
+    """Both as one, of which the later holds from its first iteration on."""
+    first = min(min(curve) for curve in later.values())
+    merged = {tag: {i: v for i, v in curve.items() if i < first} for tag, curve in earlier.items()}
+    for tag, curve in later.items():
+        merged.setdefault(tag, {}).update(curve)
     return {tag: dict(sorted(curve.items())) for tag, curve in merged.items() if curve}
+
+
+def read_table(path: Path) -> dict[str, Curve]:
+    """Curves from a table that `write_table` wrote.
+
+    Raises:
+        UserError: If it is no such table.
+    """
+    try:
+        rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+        tags = [tag for tag in rows[0] if tag != ITERATION]
+        return {tag: {int(row[ITERATION]): float(row[tag]) for row in rows if row[tag]} for tag in tags}
+    except (OSError, UnicodeError, IndexError, KeyError, ValueError, TypeError):
+        raise UserError(f"'{path}' is not a table of curves as `humoslope curve --table` writes it.") from None
+
+
+def write_table(curves: Mapping[str, Curve], path: Path) -> None:
+    """Writes what is drawn as a table: a line for each iteration, to five digits.
+
+    Event files are large and stay where the run was; this is what is kept of them.
+    """
+    tags = [tag for tag in (STEPS, *(panel.tag for panel in PANELS)) if tag in curves]
+    out = io.StringIO()
+    table = csv.writer(out, lineterminator="\n")
+    table.writerow([ITERATION, *tags])
+    for iteration in curves[STEPS]:
+        values = [curves[tag].get(iteration) for tag in tags]
+        # Steps are whole, and must not be rounded.
+        table.writerow([iteration, *("" if v is None else f"{v:.0f}" if v >= 1e5 else f"{v:.5g}" for v in values)])
+    write_text(path, out.getvalue())
 
 
 def draw(curves: Mapping[str, Curve], title: str, out: Path) -> None:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import torch
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from tensordict import TensorDict
@@ -21,6 +20,7 @@ from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
+from humoslope.evaluation.rollout import roll
 from humoslope.evaluation.statistics import Array, Proportion, mean, proportion
 from humoslope.evaluation.trials import Recorder, Trials
 from humoslope.managers import EventTerm, RewardTerm, Terms
@@ -199,12 +199,12 @@ def walk(
     signals, start_x = env.signals, env.tiles.origin_w[:, 0]
     settle = round(SETTLE_S / env.step_dt)
     recorder = Recorder(signals.root_pos_w[:, 0] - start_x, protocol.speed, settle, env.step_dt)
-    with torch.inference_mode():
-        for _ in range(round(protocol.seconds / env.step_dt)):
-            _, _, failed, ended = env.step(policy(env.get_observations()))
-            place = signals.root_pos_w[:, 0] - start_x
-            recorder.add(place, signals.root_lin_vel_t[:, 0], signals.root_height, failed, ended)
-            on_step()
+
+    def record(failed: Tensor, ended: Tensor) -> None:
+        place = signals.root_pos_w[:, 0] - start_x
+        recorder.add(place, signals.root_lin_vel_t[:, 0], signals.root_height, failed, ended)
+
+    roll(env, policy, protocol.seconds, record, on_step)
     return recorder.trials()
 
 

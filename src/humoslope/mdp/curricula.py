@@ -25,11 +25,16 @@ class TerrainLevels(StatefulTerm):
         up: Share of the tile's length.
         down: Share of the commanded distance.
         harness: Name of the harness curriculum: levels open as it is withdrawn. Empty for no such limit.
+        spread: Share of the levels that worlds start on at random, from the easiest; 0 for the easiest alone, 1 for a
+            policy that can walk them all already.
     """
 
-    def __init__(self, env: Env, up: float = 0.8, down: float = 0.4, harness: str = "") -> None:
+    def __init__(self, env: Env, up: float = 0.8, down: float = 0.4, harness: str = "", spread: float = 0.0) -> None:
         if not 0.0 < down < up <= 1.0:
             raise UserError(f"terrain levels: down {down:g} and up {up:g} must be shares with 0 < down < up <= 1.")
+        if not 0.0 <= spread <= 1.0:
+            raise UserError(f"terrain levels: spread {spread:g} must be between 0 and 1.")
+        env.tiles.set_level(torch.randint_like(env.tiles.level, max(1, round(spread * env.tiles.num_levels))))
         self._up, self._down = up, down
         self._harness: WithdrawHarness | None = env.curriculum[harness] if harness else None
         self._asked = env.zeros()  # [N] m commanded since the start of the episode

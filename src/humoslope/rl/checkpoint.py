@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import pickle
 import random
 import re
@@ -50,6 +51,12 @@ def load(path: Path, task: str | None = None, device: torch.device | str = "cpu"
     if task is not None and state["task"] != task:
         raise UserError(f"checkpoint '{path}' belongs to task '{state['task']}', not to '{task}'.")
     return state
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def latest(run_dir: Path) -> Path:

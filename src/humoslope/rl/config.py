@@ -33,6 +33,8 @@ class AgentCfg(Strict):
         obs_normalization: Whether observations are scaled by their running mean and deviation.
         symmetry: Whether every mini-batch is doubled by its mirror image.
         desired_kl: Step size in policy space that the learning rate is adapted to.
+        hold_actor: Iterations at the start in which only the critic learns. A new critic's first judgements are noise,
+            which would wreck an actor that can walk already.
         logger: Where curves go.
         wandb_project: Project of Weights & Biases, if that is the logger.
         torch_compile: Whether actor and critic are compiled.
@@ -50,6 +52,7 @@ class AgentCfg(Strict):
     num_mini_batches: int = 4
     learning_rate: float = 1e-3
     desired_kl: float = 0.01
+    hold_actor: int = 0
     gamma: float = 0.99
     lam: float = 0.95
     clip_param: float = 0.2
@@ -70,6 +73,8 @@ class AgentCfg(Strict):
         for name in ("max_iterations", "num_steps_per_env", "save_interval", "num_learning_epochs", "num_mini_batches"):
             if getattr(self, name) < 1:
                 raise UserError(f"agent.{name} {getattr(self, name)} must be at least 1.")
+        if self.hold_actor < 0:
+            raise UserError(f"agent.hold_actor {self.hold_actor} must be at least 0.")
         for name in ("init_std", "learning_rate", "desired_kl", "clip_param", "max_grad_norm"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise UserError(f"agent.{name} {getattr(self, name)} must be positive.")

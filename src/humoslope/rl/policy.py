@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ class Provenance:
         iteration: Training iterations done before this one.
         total_steps: Environment steps seen.
         harness: Scale in [0, 1] that the training harness had come down to; None if the run had no harness.
+        ancestor: What its training started from; None if it started from nothing.
     """
 
     path: Path
@@ -40,14 +40,20 @@ class Provenance:
     iteration: int
     total_steps: int
     harness: float | None
+    ancestor: Provenance | None = None
 
     @property
     def training(self) -> str:
-        """A sentence on what the training was helped by."""
+        """What the training was helped by, in a sentence for each stage."""
         if self.harness is None:
-            return "Its training used no harness."
-        left = "was gone" if self.harness == 0.0 else f"still had {100.0 * self.harness:.3g} % of its strength"
-        return f"Its training used the harness, which {left} at this checkpoint."
+            said = "Its training used no harness."
+        else:
+            left = "was gone" if self.harness == 0.0 else f"still had {100.0 * self.harness:.3g} % of its strength"
+            said = f"Its training used the harness, which {left} at this checkpoint."
+        if self.ancestor is None:
+            return said
+        steps = f"{self.ancestor.total_steps / 1e6:.2f} M steps"
+        return f"{said} It started from {self.ancestor.task} after {steps}: {self.ancestor.training}"
 
 
 class Actor:
@@ -103,7 +109,7 @@ def load_actor(path: Path, env: ManagerBasedRlEnv, task: str | None = None) -> A
     _check_size(path, "actions", layers[-1].shape[0], env.robot.num_joints, env)
     # What cannot be read off the weights (activation, distribution) is the same for every agent.
     cfg = AgentCfg(
-        hidden_dims=tuple(layer.shape[0] for layer in layers[:-1]),
+        hidden_dims=hidden_dims(path, weights),
         obs_normalization=any(name.startswith("obs_normalizer.") for name in weights),
     ).to_rsl_rl()
     network = {name: value for name, value in cfg["actor"].items() if name != "class_name"}
@@ -114,6 +120,15 @@ def load_actor(path: Path, env: ManagerBasedRlEnv, task: str | None = None) -> A
         detail = str(error).strip().splitlines()[-1].strip()
         raise UserError(f"checkpoint '{path}' holds another kind of actor: {detail}") from None
     return Actor(model.eval(), _provenance(path, state))
+
+
+def hidden_dims(path: Path, weights: dict[str, Tensor]) -> tuple[int, ...]:
+    """Widths of the hidden layers of an actor's `weights`.
+
+    Raises:
+        UserError: If it has none.
+    """
+    return tuple(layer.shape[0] for layer in _layers(path, weights)[:-1])
 
 
 def _layers(path: Path, weights: dict[str, Tensor]) -> list[Tensor]:
@@ -135,14 +150,17 @@ def _check_size(path: Path, what: str, trained: int, given: int, env: ManagerBas
 
 
 def _provenance(path: Path, state: dict[str, Any]) -> Provenance:
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    harness = state["env"]["curriculum"].get("harness")
+    return _told(state | {"path": path, "sha256": checkpoint.digest(path), "curriculum": state["env"]["curriculum"]})
+
+
+def _told(said: dict[str, Any]) -> Provenance:
+    harness, ancestor = said["curriculum"].get("harness"), said.get("ancestor")
     return Provenance(
-        path=path,
-        sha256=digest,
-        task=state["task"],
-        iteration=state["iter"],
-        total_steps=state["total_steps"],
+        path=Path(said["path"]),
+        sha256=said["sha256"],
+        task=said["task"],
+        iteration=said["iter"],
+        total_steps=said["total_steps"],
         harness=None if harness is None else float(harness["scale"]),
+        ancestor=None if ancestor is None else _told(ancestor),
     )

@@ -42,10 +42,15 @@ def find_run(task: str, which: str) -> Path:
         if not path.is_dir():
             raise UserError(f"run folder '{path}' does not exist.")
         return path
-    runs = sorted(p for p in (Path("logs") / task).glob("*") if any(p.glob("model_*.pt")))
+    runs = runs_of(task)
     if not runs:
         raise UserError(f"there is no run of {task} with a checkpoint under {Path('logs') / task}.")
     return runs[-1]
+
+
+def runs_of(task: str) -> list[Path]:
+    """The run folders of a task under logs/ that hold a checkpoint, newest last."""
+    return sorted(p for p in (Path("logs") / task).glob("*") if any(p.glob("model_*.pt")))
 
 
 def plain(value: Any) -> Any:
@@ -60,7 +65,7 @@ def plain(value: Any) -> Any:
         return [plain(v) for v in value]
     if callable(value):
         return f"{value.__module__}.{value.__qualname__}"
-    return value
+    return str(value) if isinstance(value, Path) else value
 
 
 def git_state() -> str:

@@ -22,6 +22,7 @@ from humoslope.files import write_atomically
 from humoslope.rl import checkpoint
 from humoslope.rl.config import AgentCfg
 from humoslope.rl.logger import TrainingLogger
+from humoslope.rl.policy import hidden_dims
 from humoslope.rl.symmetry import Mirror, MirrorAugmentation
 from humoslope.rl.vec_env import RslRlVecEnv
 
@@ -47,6 +48,7 @@ class Runner(OnPolicyRunner):
         self.task, self.agent, self.run_dir, self._console = task, agent, run_dir, console
         self._manager_env = env
         self._stop = False
+        self._ancestor: dict[str, Any] | None = None
         samples = env.num_envs * agent.num_steps_per_env
         if samples < agent.num_mini_batches:
             raise UserError(
@@ -88,6 +90,7 @@ class Runner(OnPolicyRunner):
         # Worlds that all start at once would also end at once,
         # and the learner would see one phase of the episode at a time.
         handlers = self._catch_signals()
+        self._hold_actor(self.current_learning_iteration)
         try:
             self.learn(left, init_at_random_ep_len=True)
         except StopTraining:
@@ -110,6 +113,7 @@ class Runner(OnPolicyRunner):
             "total_steps": self.logger.tot_timesteps,
             "total_time": self.logger.tot_time,
             "env": self._manager_env.state_dict(),
+            "ancestor": self._ancestor,
         }
         checkpoint.save(Path(path), state)
         self.logger.save_model(path, self.current_learning_iteration)
@@ -124,6 +128,7 @@ class Runner(OnPolicyRunner):
         self._load_networks(path, state)
         self.current_learning_iteration = state["iter"] + 1
         self.logger.tot_timesteps, self.logger.tot_time = state["total_steps"], state["total_time"]
+        self._ancestor = state.get("ancestor")
         try:
             self._manager_env.load_state_dict(state["env"])
         except KeyError as missing:
@@ -132,11 +137,35 @@ class Runner(OnPolicyRunner):
 
     def warm_start(self, path: Path) -> None:
         """Takes the actor, with its normaliser, from a checkpoint of any task; everything else starts anew.
+        Checkpoints of this run will say where they come from.
 
         Raises:
             UserError: If it cannot be used here.
         """
-        self._load_networks(path, checkpoint.load(path, device=self.device), {"actor": True})
+        state = checkpoint.load(path, device=self.device)
+        widths, ours = hidden_dims(path, state["actor_state_dict"]), tuple(self.agent.hidden_dims)
+        if widths != ours:
+            raise UserError(
+                f"the actor of checkpoint '{path}' has hidden layers of {widths}, this run's of {ours}; "
+                f"add --agent.hidden-dims {' '.join(map(str, widths))}."
+            )
+        self._load_networks(path, state, {"actor": True})
+        self._ancestor = {
+            "path": str(path),
+            "sha256": checkpoint.digest(path),
+            "task": state["task"],
+            "iter": state["iter"],
+            "total_steps": state["total_steps"],
+            "curriculum": state["env"]["curriculum"],
+            "ancestor": state.get("ancestor"),
+        }
+
+    def _hold_actor(self, iteration: int) -> None:
+        """Decides whether the actor learns in `iteration`. Its normaliser goes on in any case."""
+        held = iteration < self.agent.hold_actor
+        self.alg.actor.requires_grad_(not held)
+        # A held actor takes no step to measure: the rule would drive the learning rate by rounding errors alone.
+        self.alg.schedule = "fixed" if held else "adaptive"
 
     def _load_networks(self, path: Path, state: dict[str, Any], parts: dict[str, bool] | None = None) -> None:
         try:
@@ -155,6 +184,7 @@ class Runner(OnPolicyRunner):
             self._report_wreck()
         if self._stop:
             raise StopTraining
+        self._hold_actor(self.current_learning_iteration + 1)
 
     def _report_wreck(self) -> None:
         wreck = self._manager_env.take_wreck()

@@ -33,6 +33,7 @@ class Signals:
         slope_pitch: [N] inclination of the ground in the heading direction, rad, positive uphill.
         torso_quat_w, torso_ang_vel_w: [N, 4], [N, 3] rad/s.
         com_pos_w, com_lin_vel_w: [N, 3] of the whole robot.
+        com_height: [N] centre of mass above the ground below it, m.
         foot_pos_w, foot_normal_w, foot_lin_vel_w, foot_force_w: [N, 2, 3] sole centre, sole's up axis, m/s, ground
             force in N.
         foot_height: [N, 2] sole centre above the ground below it, m.
@@ -96,10 +97,9 @@ class Signals:
         self._refresh_ground()
 
     def _refresh_ground(self) -> None:
-        points = torch.cat([self.root_pos_w[:, None, :2], self.foot_pos_w[:, :, :2]], dim=1)  # [N, 3, 2]
-        ground = self._terrain.height(points)  # [N, 3]
-        self.root_height = self.root_pos_w[:, 2] - ground[:, 0]
-        self.foot_height = self.foot_pos_w[:, :, 2] - ground[:, 1:]
+        points = torch.cat([self.root_pos_w[:, None], self.com_pos_w[:, None], self.foot_pos_w], dim=1)  # [N, 4, 3]
+        height = points[:, :, 2] - self._terrain.height(points[:, :, :2])  # [N, 4]
+        self.root_height, self.com_height, self.foot_height = height[:, 0], height[:, 1], height[:, 2:]
         self.slope_normal_w = self._terrain.slope_normal(self.root_pos_w[:, :2])
         n = self.slope_normal_w
         cos, sin = self.heading_w.cos(), self.heading_w.sin()

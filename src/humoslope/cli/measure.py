@@ -1,0 +1,92 @@
+"""What the verbs that let a trained policy walk have in common."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+import humoslope
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.evaluation.ramps import RampProtocol
+from humoslope.rl.policy import Provenance
+from humoslope.rl.rundir import git_state, plain
+
+MEASURED = ("actions", "command", "observations", "terminations", "events")
+"""What the written figures say of the environment."""
+
+
+def introduce(console: Console, env: ManagerBasedRlEnv, provenance: Provenance, protocol: RampProtocol) -> None:
+    """Says who walks where."""
+    sim, seen = env.cfg.sim, f"{provenance.total_steps / 1e6:.2f} M steps"
+    friction = f"friction max({protocol.friction:g}, tan|grade| + {protocol.friction_margin:g})"
+    console.print(
+        f"[bold]{provenance.task}[/bold], iteration {provenance.iteration}, {seen}\n"
+        f"{env.num_envs} worlds, {protocol.starts} for each of {len(protocol.grades)} grades; "
+        f"{protocol.speed:g} m/s for {protocol.seconds:g} s; {friction}\n"
+        f"physics '{env.sim.backend}' on {env.device}, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone; "
+        "no noise, pushes, harness or randomisation but the start",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+@contextmanager
+def walking(console: Console, env: ManagerBasedRlEnv, seconds: float) -> Iterator[Callable[[], None]]:
+    """Shows how far `seconds` of walking are; gives what to call after every control step."""
+    columns = (
+        TextColumn("walking"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[speed]} steps/s, left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("", total=env.num_envs * round(seconds / env.step_dt), speed="-")
+
+        def on_step() -> None:
+            speed = progress.tasks[0].speed
+            progress.update(bar, advance=env.num_envs, speed=f"{speed:,.0f}" if speed else "-")
+
+        yield on_step
+
+
+def warn(console: Console, warnings: list[str]) -> None:
+    """Prints what the physics complained of."""
+    for warning in warnings:
+        console.print(f"[yellow]physics: {warning}[/yellow]")
+
+
+def describe(
+    env: ManagerBasedRlEnv,
+    provenance: Provenance,
+    protocol: RampProtocol,
+    took: float,
+    warnings: list[str],
+    command: list[str],
+) -> dict[str, Any]:
+    """Where figures come from, as JSON types.
+
+    Args:
+        took: Seconds of walking.
+        warnings: What the physics complained of.
+        command: Verb and arguments.
+    """
+    checkpoint = plain(provenance)
+    harness = checkpoint.pop("harness")
+    return {
+        "version": humoslope.__version__,
+        "code": git_state().splitlines()[0],
+        "checkpoint": checkpoint,
+        "training_harness": {"used": harness is not None, "scale_at_checkpoint": harness},
+        "protocol": plain(protocol),
+        "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
+        "environment": {name: plain(getattr(env.cfg, name)) for name in MEASURED},
+        "physics_warnings": warnings,
+        "wall_clock_s": round(took, 1),
+        "command_line": shlex.join(["humoslope", *command]),
+    }

@@ -1,0 +1,84 @@
+"""What a new run starts from: for a later stage, the earlier one's checkpoint and the swing calibration of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import humoslope
+from humoslope.errors import UserError
+from humoslope.evaluation.calibration_file import calibration_path, check_belongs, load_calibration
+from humoslope.registry import WarmStart
+from humoslope.rl import checkpoint
+from humoslope.rl.policy import find_checkpoint
+from humoslope.rl.rundir import runs_of
+
+PRIOR = "prior"
+"""In place of a calibration's path: the values that the task's configuration has."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a new run starts from.
+
+    Attributes:
+        path: The checkpoint whose actor it takes; None to start from nothing.
+        options: Options that set the calibrated reward.
+        calibration: A sentence on where their values come from.
+    """
+
+    path: Path | None = None
+    options: tuple[str, ...] = ()
+    calibration: str = ""
+
+
+def find_origin(start: WarmStart | None, init: str, calibration: str) -> Origin:
+    """What a run of a task with `start` begins with.
+
+    Args:
+        start: The task that it goes on from; None if it needs no other.
+        init: A checkpoint, or a run folder for its newest one; "" for the newest of the newest run under logs/, else
+            the shipped one.
+        calibration: A file; "" for the one beside the checkpoint; or `PRIOR`.
+
+    Raises:
+        UserError: If something is missing, or does not belong together.
+    """
+    if start is None:
+        if calibration:
+            raise UserError("--calibration: this task has no reward that a swing calibration sets.")
+        path = find_checkpoint(Path(init)) if init else None
+        if path is not None:
+            checkpoint.load(path)
+        return Origin(path)
+    path = find_checkpoint(Path(init)) if init else _newest(start)
+    checkpoint.load(path, start.task)
+    if not start.calibrated:
+        return Origin(path)
+    if calibration == PRIOR:
+        return Origin(path, calibration="Swing calibration: the prior, as configured.")
+    file = Path(calibration) if calibration else calibration_path(path)
+    if not calibration and not file.is_file():
+        raise UserError(
+            f"there is no swing calibration '{file}'; make it with `make calibrate CHECKPOINT={path}`, name another "
+            f"with --calibration, or take the documented prior with --calibration {PRIOR}."
+        )
+    swing, measured = load_calibration(file)
+    check_belongs(measured, path, checkpoint.digest(path))
+    prefix = f"--env.rewards.{start.calibrated.replace('_', '-')}.params."
+    options = [word for name, value in vars(swing).items() for word in (prefix + name.replace("_", "-"), repr(value))]
+    told = ", ".join(f"{name} {value:.4g}" for name, value in vars(swing).items())
+    return Origin(path, tuple(options), f"Swing calibration {file}: {told}.")
+
+
+def _newest(start: WarmStart) -> Path:
+    runs = runs_of(start.task)
+    shipped = Path(humoslope.__file__).parents[2] / start.shipped
+    if runs:
+        return checkpoint.latest(runs[-1])
+    if shipped.is_file():
+        return shipped
+    raise UserError(
+        f"this task starts from a checkpoint of {start.task}, and there is none under {Path('logs') / start.task}; "
+        "train that first, or name a checkpoint with --init."
+    )

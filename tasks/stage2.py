@@ -1,0 +1,111 @@
+"""Stage II: from Stage I's actor to a gait that fits the slope (paper, section 3.2), and the ablations of the method.
+
+| paper's variant | task | starts from | critic sees the descriptor | BSGA rewards |
+|---|---|---|---|---|
+| full | Stage2 | Stage1 | yes | yes |
+| Stage I only | Stage1 | - | - | - |
+| without slope-adaptive ZMP | Stage2-NoZMP | Stage1-NoZMP | yes | yes |
+| without BSGA critic cue | Stage2-NoCriticCue | Stage1 | no | yes |
+| without BSGA reward priors | Stage2-NoRewardPriors | Stage1 | yes | no |
+| without BSGA | Stage2-NoBSGA | Stage1 | no | no |
+
+Without BSGA rewards the CoM has the base list's fixed reference height, as in Stage I.
+"""
+
+from __future__ import annotations
+
+from humoslope.env import EnvCfg, SceneCfg
+from humoslope.managers import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Term, Terms, VelocityCommand
+from humoslope.mdp import curricula, gait, observations
+from humoslope.registry import TaskCfg, WarmStart, task
+from humoslope.rl.config import AgentCfg
+from humoslope.slope.bsga import branch_weights
+from humoslope.slope.swing import PRIOR
+from robots.unitree_g1 import UNITREE_G1
+from tasks.stage1 import actor_group, base_rewards, critic_group, falls, randomisation
+from terrains.stage2 import stage2 as stage2_terrain
+
+
+def critic_with_cue() -> ObservationGroup:
+    """Stage I's critic, and the terrain descriptor."""
+    group = critic_group()
+    group.terms.terrain_descriptor = ObservationTerm(observations.terrain_descriptor)
+    return group
+
+
+def rewards_with_bsga() -> Terms[RewardTerm]:
+    """The base list without its fixed height, and BSGA's five terms under the paper's weights."""
+    rewards = base_rewards()
+    rewards.root_height = None  # r_com asks for a height that fits the slope
+    weight = branch_weights()
+    swing = {"beta0": PRIOR.beta0, "beta1": PRIOR.beta1, "theta_clip": PRIOR.theta_clip}
+    rewards.com_height = RewardTerm(gait.ComHeight, {"nominal": 0.69}, weight=weight.com)
+    rewards.hip_propulsion = RewardTerm(gait.HipPropulsion, weight=weight.hip)
+    rewards.knee_braking = RewardTerm(gait.KneeBraking, weight=weight.brake)
+    rewards.stride = RewardTerm(gait.Stride, weight=weight.stride)
+    rewards.swing_hip = RewardTerm(gait.SwingHip, swing, weight=weight.swing)
+    return rewards
+
+
+def unaided() -> Terms[EventTerm]:
+    """Stage I's randomisation without the harness: the actor can walk."""
+    events = randomisation()
+    events.harness = None
+    return events
+
+
+@task("HumoSlope-Stage2-Unitree-G1")
+def stage2() -> TaskCfg:
+    """Stage II: adapt posture and gait on slope tracks, guided by the terrain descriptor."""
+    return TaskCfg(
+        env=EnvCfg(
+            scene=SceneCfg(robot=UNITREE_G1, terrain=stage2_terrain()),
+            episode_length_s=25.0,  # a track of 12 m at the mean speed
+            # The benchmark's speed in the middle, and always along the track.
+            command=VelocityCommand(speed=(0.2, 0.8), heading_share=1.0),
+            observations=Terms(actor=actor_group(), critic=critic_with_cue()),
+            rewards=rewards_with_bsga(),
+            terminations=falls(),
+            events=unaided(),
+            curriculum=Terms(terrain_levels=Term(curricula.TerrainLevels, {"spread": 1.0})),
+        ),
+        agent=AgentCfg(hold_actor=40, entropy_coef=0.001),
+        start=WarmStart(
+            "HumoSlope-Stage1-Unitree-G1", shipped="experiments/checkpoints/stage1.pt", calibrated="swing_hip"
+        ),
+    )
+
+
+@task("HumoSlope-Stage2-NoZMP-Unitree-G1")
+def stage2_no_zmp() -> TaskCfg:
+    """Ablation: the Stage I that it starts from had no ZMP regulariser."""
+    cfg = stage2()
+    cfg.start = WarmStart("HumoSlope-Stage1-NoZMP-Unitree-G1", calibrated="swing_hip")
+    return cfg
+
+
+@task("HumoSlope-Stage2-NoCriticCue-Unitree-G1")
+def stage2_no_critic_cue() -> TaskCfg:
+    """Ablation: the critic does not see the terrain descriptor."""
+    cfg = stage2()
+    cfg.env.observations.critic = critic_group()
+    return cfg
+
+
+@task("HumoSlope-Stage2-NoRewardPriors-Unitree-G1")
+def stage2_no_reward_priors() -> TaskCfg:
+    """Ablation: no BSGA rewards."""
+    return _without_priors(stage2())
+
+
+@task("HumoSlope-Stage2-NoBSGA-Unitree-G1")
+def stage2_no_bsga() -> TaskCfg:
+    """Ablation: neither BSGA rewards nor the terrain descriptor in the critic."""
+    return _without_priors(stage2_no_critic_cue())
+
+
+def _without_priors(cfg: TaskCfg) -> TaskCfg:
+    cfg.env.rewards = base_rewards()
+    assert cfg.start is not None
+    cfg.start.calibrated = ""
+    return cfg

@@ -1,0 +1,22 @@
+"""The slope tracks of Stage II."""
+
+from __future__ import annotations
+
+from humoslope.terrain import TerrainGrid
+
+
+def stage2() -> TerrainGrid:
+    """Mostly tracks of two ramps, up and down in either order, with all five surfaces; longer than those of Stage I, so
+    that a robot meets every transition within an episode. Layout and seed are not the held-out track's."""
+    return TerrainGrid(
+        columns={
+            "compound": 0.65,
+            "ramp-up": 0.1,
+            "ramp-down": 0.1,
+            "banked": 0.05,
+            "rough": 0.05,
+            "flat": 0.05,
+        },
+        tile_length=12.0,
+        seed=2,
+    )
