@@ -2,10 +2,17 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+<<<<<<< HEAD
+ROLLOUT ?= experiments/rollouts/stage1_track20.npz
+=======
+RESULTS ?= experiments/results/heldout
+ROLLOUT ?= experiments/rollouts/stage1_up30.npz
+>>>>>>> main
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 train-stage2 ramps calibrate curve terrain list bench test lint types check format clean
+.PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve record replay video \
+  export play terrain list bench test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,11 +36,38 @@ train-stage2: $(STAMP) ## Train Stage II from the newest Stage I and its calibra
 ramps: $(STAMP) ## Evaluate CHECKPOINT on flat ground and on ramps
 	$(BIN)/humoslope ramps $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
 
+evaluate: $(STAMP) ## Evaluate CHECKPOINT on the held-out track; ARGS="--trials 16" is a first look, ARGS=--sweep finds the slope limit
+	$(BIN)/humoslope evaluate $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
+
 calibrate: $(STAMP) ## Fit the swing reference of Stage II to the Stage-I CHECKPOINT
 	$(BIN)/humoslope calibrate $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
 
+table1: $(STAMP) ## Print the paper's table 1 with the RESULTS of evaluations: files, NAME=FILE, folders
+	$(BIN)/humoslope table 1 $(RESULTS) $(ARGS)
+
+table2: $(STAMP) ## Print the paper's table 2 with the RESULTS of evaluations
+	$(BIN)/humoslope table 2 $(RESULTS) $(ARGS)
+
+figures: $(STAMP) ## Draw the RESULTS of evaluations to experiments/figures
+	$(BIN)/humoslope figures $(RESULTS) --out experiments/figures $(ARGS)
+
 curve: $(STAMP) ## Draw the learning curve of RUN, a run folder
 	$(BIN)/humoslope curve $(call need,RUN,logs/...) $(ARGS)
+
+record: $(STAMP) ## Let CHECKPOINT walk once; ARGS="--terrain ramp-up --grade 30" says where
+	$(BIN)/humoslope record $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
+
+replay: $(STAMP) ## Show ROLLOUT (by default a shipped one) in rerun; ARGS=--web in a browser
+	$(BIN)/humoslope replay $(ROLLOUT) $(ARGS)
+
+video: $(STAMP) ## Make an mp4 and a contact sheet of ROLLOUT, without a display
+	$(BIN)/humoslope video $(ROLLOUT) $(ARGS)
+
+export: $(STAMP) ## Export CHECKPOINT: ONNX, a contract, and Unitree's deploy.yaml
+	$(BIN)/humoslope export $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
+
+play: $(STAMP) ## Walk with the export in DIR by the arrow keys; ARGS="--headless --trials 64" counts falls
+	$(BIN)/humoslope play $(call need,DIR,logs/.../model_1000.export) $(ARGS)
 
 terrain: $(STAMP) ## Draw the terrain NAME to a PNG
 	$(BIN)/humoslope terrain $(call need,NAME,ramp-up) $(ARGS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 from hypothesis import settings
 from torch import Tensor
 
+from humoslope.cli import main
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.managers import Log, Terms
 from humoslope.registry import build_task, load_content
@@ -30,6 +32,7 @@ class FakeEnv(SimpleNamespace):
     num_envs: int
     device = torch.device("cpu")
     step_dt = 0.02
+    sim = SimpleNamespace(known_empty=lambda mask: False)  # as on a GPU
 
     def zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
         return torch.zeros(self.num_envs, *shape, dtype=dtype)
@@ -62,6 +65,20 @@ def make_stage1() -> Callable[..., ManagerBasedRlEnv]:
         return ManagerBasedRlEnv(cfg)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def stage1_checkpoint() -> Path:
+    """The shipped policy of Stage I, which walks."""
+    return Path(__file__).parents[1] / "experiments" / "checkpoints" / "stage1.pt"
+
+
+@pytest.fixture(scope="session")
+def exported(stage1_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its export folder; not to be written into."""
+    folder = tmp_path_factory.mktemp("export") / "stage1"
+    assert main(["export", str(stage1_checkpoint), "--out", str(folder)]) == 0
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ import mujoco
 
 from humoslope.scene.robot import Robot
 from humoslope.scene.sensors import add_robot_sensors
+from robots.unitree_g1.meshes import G1_MESHES
 
 URDF = Path(__file__).with_name("g1.urdf")
 SIDES = ("left", "right")
@@ -176,6 +177,8 @@ def _add_drive(spec: mujoco.MjSpec, name: str, drive: Drive) -> None:
 UNITREE_G1 = Robot(
     name="unitree_g1",
     make_spec=make_spec,
+    urdf=URDF,
+    meshes=G1_MESHES,
     root_body="pelvis",
     torso_body="torso_link",
     imu_site="imu_in_pelvis",
@@ -185,6 +188,7 @@ UNITREE_G1 = Robot(
         tuple(f"left_foot{i}_collision" for i in range(1, 5)),
         tuple(f"right_foot{i}_collision" for i in range(1, 5)),
     ),
+    shin_bodies=("left_knee_link", "right_knee_link"),
     joint_names=tuple(DRIVES),
     default_joint_pos=tuple(KNEES_BENT.get(name, 0.0) for name in DRIVES),
     default_root_height=0.757,  # the heels just touch; Unitree starts at 0.76

@@ -148,21 +148,24 @@ class ManagerBasedRlEnv:
         self.rewards = RewardManager(self, cfg.rewards)
         self._obs = self.observations.compute(everywhere)
 
-    def step(self, action: Tensor) -> tuple[TensorDict, Tensor, Tensor, Tensor]:
+    def step(self, action: Tensor, active: Tensor | None = None) -> tuple[TensorDict, Tensor, Tensor, Tensor]:
         """Advances every world by one control step.
 
         Args:
             action: [N, J].
+            active: [N] bool; worlds whose physics matters, all by default (see `Simulation.step`).
 
         Returns:
             Observations after resets (fresh tensors), reward [N], failures [N] (bool) and time-outs [N] (bool).
         """
         self.actions.process(action)
-        self.sim.step(self.cfg.sim.decimation)
+        self.sim.step(self.cfg.sim.decimation, active)
         self.diverged = broken = self.sim.diverged()
-        self._wreck.add(self._qpos, self._qvel, broken)
+        self._wreck.add(self._qpos, self._qvel)
+        if not self.sim.known_empty(broken):
+            self._wreck.keep(broken)
         self.signals.refresh(broken)
-        self.episode_length_buf += 1
+        self.episode_length_buf = self.episode_length_buf + 1  # the log keeps the old one
 
         done = self.terminations.compute() | broken
         terminated, time_outs = self.terminations.terminated | broken, self.terminations.time_outs & ~broken

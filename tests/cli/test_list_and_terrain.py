@@ -31,7 +31,7 @@ def test_a_misspelt_terrain_gets_its_nearest_match(mistake: Callable[..., str]) 
     assert "did you mean 'ramp-up'" in mistake("terrain", "ramp-upp")
 
 
-@pytest.mark.parametrize("verb", ["list", "terrain", "ramps", "curve"])
+@pytest.mark.parametrize("verb", ["list", "terrain", "ramps", "evaluate", "curve"])
 def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert verb in VERBS
     with pytest.raises(SystemExit) as ended:

@@ -65,6 +65,20 @@ def test_a_group_that_is_not_corrupted_has_no_noise(env):
     assert observations.compute(NOWHERE)["actor"].count_nonzero() == 0
 
 
+def test_noise_can_come_from_elsewhere(env):
+    terms = Terms(speed=ObservationTerm(speed, noise=2.0, scale=0.5), angles=ObservationTerm(angles, noise=1.0))
+    asked = []
+
+    def quarter(given, frame):
+        asked.append((given, tuple(frame.shape)))
+        return torch.full_like(frame, 0.25)
+
+    group = ObservationGroup(terms=terms, corrupt=True, noise_source=quarter)
+    observations = ObservationManager(env, Terms(actor=group))
+    assert observations.compute(NOWHERE)["actor"].tolist() == [[-0.5, -0.5, -0.5]] * N
+    assert asked == [(env, (N, 3))]
+
+
 def test_terms_without_noise_stay_exact_beside_noisy_ones(env):
     observations = manager(env, corrupt=True, speed=ObservationTerm(speed, noise=1.0), angles=ObservationTerm(angles))
     noisy = observations.compute(NOWHERE)["actor"]

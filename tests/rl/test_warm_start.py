@@ -21,7 +21,9 @@ def test_a_held_actor_stays_as_it_is_while_the_critic_learns(train, tmp_path):
     assert not moved(states[0], states[1], "actor_state_dict")
     assert moved(states[0], states[1], "critic_state_dict")
     assert moved(states[1], states[2], "actor_state_dict")
-    assert states[1]["optimizer_state_dict"]["param_groups"][0]["lr"] == 1e-3
+    rates = [state["optimizer_state_dict"]["param_groups"][0]["lr"] for state in states]
+    assert rates[1] == 1e-3
+    assert rates[2] < 1e-4  # two mini-batches, each of which may raise it by half
 
 
 def test_a_run_that_is_resumed_while_the_actor_is_held_goes_on_as_if_nothing_had_been(train, task, tmp_path):

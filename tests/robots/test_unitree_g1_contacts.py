@@ -23,6 +23,14 @@ def at_knees_bent(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
+def test_every_ground_contact_but_of_feet_and_shins_is_one_of_the_upper_body(model):
+    touching = {model.body(model.geom_bodyid[i]).name for i in range(model.ngeom) if model.geom_conaffinity[i]}
+    upper = touching - set(UNITREE_G1.foot_bodies) - set(UNITREE_G1.shin_bodies) - {"world"}
+    for part in ("pelvis", "torso", "hip", "elbow", "wrist"):
+        assert any(part in body for body in upper), part
+    assert set(UNITREE_G1.shin_bodies) <= touching
+
+
 def test_in_the_default_pose_the_soles_just_touch_the_ground(model):
     data = at_knees_bent(model)
     bottoms = [data.geom(name).xpos[2] - model.geom(name).size[0] for foot in UNITREE_G1.foot_geoms for name in foot]

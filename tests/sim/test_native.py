@@ -44,3 +44,21 @@ def test_the_number_of_threads_does_not_change_the_motion(rig: mujoco.MjModel) -
         simulation.step(50)
         ends.append(simulation.state("qpos").clone())
     assert torch.equal(*ends)
+
+
+def test_worlds_outside_the_mask_are_left_as_they_are_and_the_others_step_as_ever(rig: mujoco.MjModel) -> None:
+    some, every = (make_simulation(rig, 4, "native", num_threads=2) for _ in range(2))
+    chosen = torch.tensor([True, False, True, False])
+    sensors = some.read("sensordata")
+    for simulation in (some, every):
+        simulation.state("ctrl").copy_(torch.arange(4.0)[:, None] / 4)
+        simulation.step(10)
+    before, seen = some.state("qpos").clone(), sensors.clone()
+    some.step(20, chosen)
+    every.step(20)
+    assert torch.equal(some.state("qpos")[chosen], every.state("qpos")[chosen])
+    assert torch.equal(some.state("qpos")[~chosen], before[~chosen])
+    assert torch.equal(sensors[~chosen], seen[~chosen])
+    assert some.state("time").tolist() == pytest.approx([0.15, 0.05, 0.15, 0.05])
+    some.step(1, torch.zeros(4, dtype=torch.bool))
+    assert torch.equal(some.state("qpos")[~chosen], before[~chosen])

@@ -71,7 +71,7 @@ def test_ribs_are_as_high_as_asked_with_level_ground_between(period: float) -> N
     assert (ribs > 0.015).sum() == pytest.approx(8.0 / period, abs=1.0)
 
 
-@pytest.mark.parametrize("name", registry.names())
+@pytest.mark.parametrize("name", registry.training_names())
 def test_no_kind_asks_a_robot_to_climb_a_step_inside_its_tile(name: str) -> None:
     kind = registry.find(name)
     for seed in range(10):

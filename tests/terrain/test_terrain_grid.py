@@ -33,7 +33,7 @@ def tile(built: Terrain, level: int, column: int) -> Any:
 
 
 def test_every_tile_starts_level_at_its_origin_and_robots_start_on_level_ground() -> None:
-    built = TerrainGrid(columns=dict.fromkeys(registry.names(), 1.0), levels=5).build()
+    built = TerrainGrid(columns=dict.fromkeys(registry.training_names(), 1.0), levels=5).build()
     for level in range(5):
         for column in range(20):
             heights = tile(built, level, column)
@@ -69,7 +69,8 @@ def test_a_ramp_of_30_degrees_is_30_degrees_everywhere_but_at_its_ends(name: str
 
 @settings(deadline=None)
 @given(
-    shares=st.dictionaries(st.sampled_from(registry.names()), st.floats(0.01, 100), min_size=1), more=st.integers(0, 9)
+    shares=st.dictionaries(st.sampled_from(registry.training_names()), st.floats(0.01, 100), min_size=1),
+    more=st.integers(0, 9),
 )
 def test_every_named_kind_gets_a_column_and_shares_are_kept_within_one(shares: dict[str, float], more: int) -> None:
     columns = len(shares) + more

@@ -13,8 +13,17 @@ VERBS = {
     "list": "List the registered tasks and terrains.",
     "terrain": "Draw a terrain to a PNG.",
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
+    "evaluate": "Evaluate checkpoints on the held-out track.",
     "calibrate": "Fit the swing reference of Stage II to a Stage-I checkpoint.",
+    "table": "Print the paper's tables with the results of evaluations.",
+    "figures": "Draw the results of evaluations.",
     "curve": "Draw the learning curve of a run.",
+    "record": "Let a checkpoint walk once and keep the walk in a file.",
+    "replay": "Show a recorded walk in rerun.",
+    "video": "Make a video and a contact sheet of a recorded walk.",
+    "meshes": "Fetch the real meshes of a robot, for replay and video.",
+    "export": "Export a checkpoint to ONNX and a contract.",
+    "play": "Walk with an exported policy in plain MuJoCo.",
     "bench": "Measure speed and memory.",
 }
 """Each verb is `run(arguments)` in the module of its name."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import tyro
@@ -66,3 +68,23 @@ def early(own: A, task: str, options: list[str], verb: str = "train") -> A:
     quiet = [option for option in options if option not in ("-h", "--help")]
     args, _ = tyro.cli(type(own), args=quiet, prog=f"humoslope {verb} {task}", return_unknown_args=True)
     return args
+
+
+@dataclasses.dataclass(frozen=True)
+class Scale:
+    """The scale alone, for who reads the options that a run was started with."""
+
+    preset: Preset = "auto"
+
+
+def saved_options(run_dir: Path) -> list[str]:
+    """The options that a run was started with; none if the folder does not say."""
+    file = run_dir / "options.txt"
+    return shlex.split(file.read_text(encoding="utf-8")) if file.is_file() else []
+
+
+def trained_task(checkpoint: Path, task: str) -> TaskCfg:
+    """The configuration that a checkpoint was trained with: the task's own, with the options of the run if it lies in
+    its run folder."""
+    options = saved_options(checkpoint.parent)
+    return parse(Scale(), task, options)[0] if options else build_task(task)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shlex
 from datetime import datetime
 from pathlib import Path
 
 import torch
 from rich.console import Console
 
-from humoslope.cli.options import early, parse
+from humoslope.cli.options import early, parse, saved_options
 from humoslope.cli.overrides import merge_options
 from humoslope.cli.warm_start import Origin, find_origin
 from humoslope.env import ManagerBasedRlEnv
@@ -61,7 +60,7 @@ def run(arguments: list[str]) -> None:
     own = early(TrainArgs(), task, options)
     resumed = find_run(task, own.resume) if own.resume else None
     if resumed is not None:
-        origin, options = Origin(), merge_options(_saved_options(resumed), options)
+        origin, options = Origin(), merge_options(saved_options(resumed), options)
     else:
         origin = find_origin(build_task(task).start, own.init, own.calibration)
         options = merge_options([*origin.options], options)  # what the user typed wins
@@ -131,8 +130,3 @@ def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Pat
         f"{env.tiles.num_levels} levels; run folder {run_dir}"
     )
     env.describe(console)
-
-
-def _saved_options(run_dir: Path) -> list[str]:
-    file = run_dir / "options.txt"
-    return shlex.split(file.read_text(encoding="utf-8")) if file.is_file() else []

@@ -111,4 +111,5 @@ def _target(calibration: SwingCalibration, slope: Array) -> Array:
 
 def _named(name: str, calibration: SwingCalibration) -> str:
     clip = math.degrees(calibration.theta_clip)
-    return f"{name}: {calibration.beta0:.3f} rad + {calibration.beta1:.3f} clip(slope, 0, {clip:g}°)"
+    sign = "-" if calibration.beta1 < 0.0 else "+"
+    return f"{name}: {calibration.beta0:.3f} rad {sign} {abs(calibration.beta1):.3f} clip(slope, 0, {clip:g}°)"

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
+from humoslope.evaluation.physics import measuring_physics
 from humoslope.evaluation.rollout import roll
 from humoslope.evaluation.statistics import Array, Proportion, mean, proportion
 from humoslope.evaluation.trials import Recorder, Trials
@@ -136,20 +137,14 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
         raise UserError("ramps: this task has no termination that is a failure, so falls could not be counted.")
     actor = dataclasses.replace(task_env.observations.actor, corrupt=False)
     friction = {"friction": (protocol.friction,) * 2, "slope_margin": protocol.friction_margin}
-    sim = task_env.sim
-    period = sim.timestep * sim.decimation
-    decimation = round(period / protocol.timestep)
-    if decimation < 1 or abs(decimation * protocol.timestep - period) > 1e-9:
-        raise UserError(
-            f"ramps: timestep {protocol.timestep:g} s does not divide the task's control step of {period:g} s."
-        )
+    sim = measuring_physics(task_env.sim, protocol.timestep, "ramps")
     return dataclasses.replace(
         task_env,
         scene=dataclasses.replace(task_env.scene, terrain=_ground(protocol)),
-        sim=dataclasses.replace(sim, timestep=protocol.timestep, decimation=decimation, cone="elliptic"),
+        sim=sim,
         num_envs=protocol.starts * len(protocol.grades),
         # The trial ends first, so that a time-out never ends an episode here.
-        episode_length_s=protocol.seconds + 10.0 * period,
+        episode_length_s=protocol.seconds + 10.0 * sim.timestep * sim.decimation,
         seed=protocol.seed,
         command=dataclasses.replace(
             task_env.command,

@@ -30,6 +30,10 @@ class ZmpRegulariser(StatefulTerm):
         flight_share: Below this share of body weight on the feet the last support normal holds.
         plane: "support" takes the dominant foot's plane (the paper's regulariser); "horizontal" the world-horizontal
             plane through the anchor, which the paper argues against.
+
+    Attributes:
+        anchor, normal, point: [N, 3] support anchor, support plane's normal and zero-moment point of the last call.
+        valid: [N] bool; whether that point was defined.
     """
 
     def __init__(
@@ -61,13 +65,14 @@ class ZmpRegulariser(StatefulTerm):
     def __call__(self, env: Env) -> Tensor:
         signals = env.signals
         raw = self._rate(signals.com_lin_vel_w).clamp(-self._acc_limit, self._acc_limit)
-        self._com_acc = self._smoothing * self._com_acc + (1.0 - self._smoothing) * raw
-        force = signals.foot_force_w.norm(dim=2)  # [N, 2]
-        anchor = zmp.support_anchor(signals.foot_pos_w, force, self._epsilon)
-        deviation, valid = zmp.zmp_deviation(
-            signals.com_pos_w, self._com_acc, anchor, self._plane_normal(env, force), self._least_pressure
+        self._com_acc = torch.lerp(raw, self._com_acc, self._smoothing)
+        self.anchor = zmp.support_anchor(signals.foot_pos_w, signals.foot_force, self._epsilon)
+        self.normal = self._plane_normal(env, signals.foot_force)
+        self.point, self.valid = zmp.zero_moment_point(
+            signals.com_pos_w, self._com_acc, self.anchor, self.normal, self._least_pressure
         )
-        return torch.exp(-deviation.clamp(max=self._largest_deviation) / self._sigma) * valid
+        deviation = (self.point - self.anchor).norm(dim=1)
+        return torch.exp(-deviation.clamp(max=self._largest_deviation) / self._sigma) * self.valid
 
     def _plane_normal(self, env: Env, force: Tensor) -> Tensor:
         if self._horizontal:

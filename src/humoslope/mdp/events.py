@@ -85,8 +85,12 @@ def randomize_friction(env: Env, mask: Tensor, friction: Range, slope_margin: fl
             anyone.
     """
     _check("friction", friction, 0.0)
+    set_friction(env, mask, torch.maximum(env.uniform(*friction), torch.tan(env.tiles.grade.abs()) + slope_margin))
+
+
+def set_friction(env: Env, mask: Tensor, mu: Tensor) -> None:
+    """Sets the coefficient of friction `mu` [N] between feet and ground."""
     field = env.sim.expand("geom_friction")  # [N, G, 3]
-    mu = torch.maximum(env.uniform(*friction), torch.tan(env.tiles.grade.abs()) + slope_margin)
     for side in env.robot.foot_geoms:
         for geom in side:
             _set(field[:, env.sim.model.geom(geom).id, 0], mask, mu)

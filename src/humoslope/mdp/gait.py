@@ -69,14 +69,17 @@ class ComHeight(StatefulTerm):
         self._progress = Progress(env, memory_s)
 
     def __call__(self, env: Env) -> Tensor:
+        height = bsga.com_height_over_slope(env.signals.com_height, env.patch.descriptor.slope)
+        gate = torch.where(env.commands.moving, self._progress(env), 1.0)
+        return bsga.com_height_reward(height, self.target(env), self._std) * gate
+
+    def target(self, env: Env) -> Tensor:
+        """Height [N] that is asked for at right angles to the slope, m; see `bsga.com_height_over_slope`."""
         ground = env.patch.descriptor
         rho = bsga.slope_intensity(ground.slope, self._full_slope)
-        target = bsga.com_height_target(
+        return bsga.com_height_target(
             ground.slope, rho, ground.up, ground.down, self._nominal, self._offset_up, self._offset_down
         )
-        height = bsga.com_height_over_slope(env.signals.com_height, ground.slope)
-        gate = torch.where(env.commands.moving, self._progress(env), 1.0)
-        return bsga.com_height_reward(height, target, self._std) * gate
 
     def reset(self, mask: Tensor) -> None:
         """Progress starts anew."""
@@ -159,7 +162,7 @@ class KneeBraking(StatefulTerm):
         ground, signals = env.patch.descriptor, env.signals
         braking = bsga.brake_reward(
             signals.joint_pos.index_select(1, self._knee),
-            signals.foot_force_w.norm(dim=2),
+            signals.foot_force,
             self._work.share(env, joint=1),
             bsga.slope_intensity(ground.slope, self._full_slope),
             ground.down,

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from humoslope.mdp import mirror
+from humoslope.mdp.measured import measured_as
 from humoslope.mdp.mirror import mirrored_as
 from humoslope.slope.descriptor import phi5
 
@@ -19,36 +20,42 @@ if TYPE_CHECKING:
 
 
 @mirrored_as(mirror.axial)
+@measured_as("root_angular_velocity")
 def base_ang_vel(env: Env) -> Tensor:
     """Angular velocity of the root in its own frame, rad/s, [N, 3]."""
     return env.signals.root_ang_vel_b
 
 
 @mirrored_as(mirror.polar)
+@measured_as("gravity_direction")
 def projected_gravity(env: Env) -> Tensor:
     """Direction of gravity in the root frame, [N, 3]."""
     return env.signals.projected_gravity_b
 
 
 @mirrored_as(mirror.planar_velocity)
+@measured_as("velocity_command")
 def velocity_command(env: Env) -> Tensor:
     """Commanded speed forward and left, m/s, and yaw rate, rad/s, [N, 3]."""
     return env.commands.velocity
 
 
 @mirrored_as(mirror.joints)
+@measured_as("joint_position_offset")
 def joint_pos_rel(env: Env) -> Tensor:
     """Joint positions relative to the default pose, rad, [N, J]."""
     return env.signals.joint_pos - env.default_joint_pos
 
 
 @mirrored_as(mirror.joints)
+@measured_as("joint_velocity")
 def joint_vel(env: Env) -> Tensor:
     """Joint velocities, rad/s, [N, J]."""
     return env.signals.joint_vel
 
 
 @mirrored_as(mirror.joints)
+@measured_as("last_action")
 def last_action(env: Env) -> Tensor:
     """The last action, as the policy gave it, [N, J]."""
     return env.actions.action
@@ -72,7 +79,7 @@ def foot_contact(env: Env) -> Tensor:
 @mirrored_as(mirror.feet)
 def foot_load(env: Env) -> Tensor:
     """Ground force on each foot in units of body weight, [N, 2]."""
-    return env.signals.foot_force_w.norm(dim=2) / (env.robot.total_mass * 9.81)
+    return env.signals.foot_force / (env.robot.total_mass * 9.81)
 
 
 @mirrored_as(mirror.feet)
@@ -101,7 +108,7 @@ def height_scan(env: Env, clip: float = 1.0) -> Tensor:
     Args:
         clip: Largest absolute value, m.
     """
-    height = env.signals.root_pos_w[:, 2:3] - env.patch.heights_w - env.robot.default_root_height
+    height = (env.signals.root_pos_w[:, 2:3] - env.robot.default_root_height) - env.patch.heights_w
     return height.clamp(-clip, clip)
 
 

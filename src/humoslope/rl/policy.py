@@ -60,17 +60,18 @@ class Actor:
     """A policy that always takes its most likely action.
 
     Attributes:
+        module: The network with its normaliser.
         provenance: Where it comes from.
     """
 
-    def __init__(self, model: MLPModel, provenance: Provenance) -> None:
-        self._model = model
+    def __init__(self, module: MLPModel, provenance: Provenance) -> None:
+        self.module = module
         self.provenance = provenance
 
     @torch.inference_mode()
     def __call__(self, obs: TensorDict) -> Tensor:
         """Actions [N, J] for the observations of all worlds."""
-        action: Tensor = self._model(obs)
+        action: Tensor = self.module(obs)
         return action
 
 

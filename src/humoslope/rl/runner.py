@@ -26,6 +26,11 @@ from humoslope.rl.policy import hidden_dims
 from humoslope.rl.symmetry import Mirror, MirrorAugmentation
 from humoslope.rl.vec_env import RslRlVecEnv
 
+RELEASE_RATE = 1e-5
+"""Learning rate at which a held actor begins to learn: the least that the adaptive rule of rsl_rl's PPO knows, which
+raises it within an iteration to what the change of the policy allows. Adam's first step moves every weight by the
+learning rate; at 1e-3 that alone threw down an actor that could walk."""
+
 
 class StopTraining(Exception):
     """Raised between iterations after SIGINT or SIGTERM."""
@@ -166,6 +171,8 @@ class Runner(OnPolicyRunner):
         self.alg.actor.requires_grad_(not held)
         # A held actor takes no step to measure: the rule would drive the learning rate by rounding errors alone.
         self.alg.schedule = "fixed" if held else "adaptive"
+        if iteration == self.agent.hold_actor > 0:
+            self.alg.learning_rate = RELEASE_RATE
 
     def _load_networks(self, path: Path, state: dict[str, Any], parts: dict[str, bool] | None = None) -> None:
         try:

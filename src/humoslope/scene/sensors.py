@@ -41,11 +41,11 @@ def add_robot_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Adds the net ground force on each foot and on the whole robot, world frame.
+    """Adds the net ground force on each foot, each shin and the whole robot, world frame.
     The terrain geom must be in the spec."""
-    bodies = dict(zip((f"foot_force_w/{side}" for side in SIDES), robot.foot_bodies, strict=True))
-    for name, body in bodies.items():
-        _add_ground_force(spec, name, mjtObj.mjOBJ_BODY, body)
+    for signal, bodies in (("foot_force_w", robot.foot_bodies), ("shin_force_w", robot.shin_bodies)):
+        for side, body in zip(SIDES, bodies, strict=True):
+            _add_ground_force(spec, f"{signal}/{side}", mjtObj.mjOBJ_BODY, body)
     _add_ground_force(spec, "robot_force_w", mjtObj.mjOBJ_XBODY, robot.root_body)
 
 

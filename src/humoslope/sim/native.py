@@ -78,10 +78,10 @@ class NativeSimulation:
         """See `Simulation.recompute_constants`."""
         self._batch.set_const()
 
-    def step(self, n: int) -> None:
+    def step(self, n: int, mask: Tensor | None = None) -> None:
         """See `Simulation.step`."""
         try:
-            self._batch.step(nstep=n)
+            self._batch.step(None if mask is None else mask.numpy(), nstep=n)
         except RuntimeError as error:
             if "out of memory" not in str(error):
                 raise

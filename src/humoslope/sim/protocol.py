@@ -58,8 +58,13 @@ class Simulation(Protocol):
         (`mj_setConst`)."""
         ...
 
-    def step(self, n: int) -> None:
-        """Advances every world by `n` physics steps with the controls and wrenches held."""
+    def step(self, n: int, mask: Tensor | None = None) -> None:
+        """Advances every world by `n` physics steps with the controls and wrenches held.
+
+        Args:
+            mask: [N] bool; the worlds that matter. The native backend leaves the others as they are and saves their
+                time; MuJoCo-Warp steps all worlds alike.
+        """
         ...
 
     def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:

@@ -113,8 +113,8 @@ class WarpSimulation:
         with self._on_torch_stream():
             mjw.set_const(self._m, self._d)
 
-    def step(self, n: int) -> None:
-        """See `Simulation.step`."""
+    def step(self, n: int, mask: Tensor | None = None) -> None:
+        """See `Simulation.step`. Worlds go in lock-step, so none is spared."""
         for _ in range(n):
             self._run("step", mjw.step)
         for reading, live in self._readings.values():

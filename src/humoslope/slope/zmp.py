@@ -36,15 +36,15 @@ def dominant_normal(foot_normal: Tensor, foot_force: Tensor) -> Tensor:
     Returns:
         [..., 3].
     """
-    left = (foot_force[..., :1] >= foot_force[..., 1:]).to(foot_normal.dtype)
-    return left * foot_normal[..., 0, :] + (1.0 - left) * foot_normal[..., 1, :]
+    left = foot_force[..., :1] >= foot_force[..., 1:]
+    return torch.where(left, foot_normal[..., 0, :], foot_normal[..., 1, :])
 
 
 def apparent_force(com_acc: Tensor) -> Tensor:
     """Apparent specific force F_app = g - a_com, [..., 3] m/s^2."""
-    gravity = torch.zeros_like(com_acc)
-    gravity[..., 2] = -GRAVITY
-    return gravity - com_acc
+    apparent = -com_acc
+    apparent[..., 2] -= GRAVITY
+    return apparent
 
 
 def zmp_on_plane(com: Tensor, apparent: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
@@ -64,8 +64,10 @@ def presses_on_plane(apparent: Tensor, normal: Tensor, least: float) -> Tensor:
     return (apparent * normal).sum(-1) <= -least
 
 
-def zmp_deviation(com: Tensor, com_acc: Tensor, anchor: Tensor, normal: Tensor, least: float) -> tuple[Tensor, Tensor]:
-    """Distance d_zmp between zero-moment point and anchor in the support plane, and whether it is defined.
+def zero_moment_point(
+    com: Tensor, com_acc: Tensor, anchor: Tensor, normal: Tensor, least: float
+) -> tuple[Tensor, Tensor]:
+    """Zero-moment point on the support plane, and whether it is defined.
 
     Args:
         com: Whole-body centre of mass.
@@ -75,11 +77,11 @@ def zmp_deviation(com: Tensor, com_acc: Tensor, anchor: Tensor, normal: Tensor, 
         least: Smallest pressure of the apparent force on the plane, m/s^2.
 
     Returns:
-        Deviation [...] in m (zero where undefined), and a bool mask [...].
+        Point [..., 3] (the anchor where it is undefined), and a bool mask [...].
     """
     apparent = apparent_force(com_acc)
     valid = presses_on_plane(apparent, normal, least)
+    there = valid.unsqueeze(-1)
     # Where it is undefined a harmless ray is used, so that no infinity arises that a mask could not remove.
-    safe = torch.where(valid.unsqueeze(-1), apparent, -GRAVITY * normal)
-    deviation = (zmp_on_plane(com, safe, anchor, normal) - anchor).norm(dim=-1)
-    return torch.where(valid, deviation, torch.zeros_like(deviation)), valid
+    safe = torch.where(there, apparent, -GRAVITY * normal)
+    return torch.where(there, zmp_on_plane(com, safe, anchor, normal), anchor), valid

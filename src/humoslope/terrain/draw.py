@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from humoslope.errors import UserError
-from humoslope.terrain import registry
+from humoslope.terrain import course, registry
+from humoslope.terrain.course import Course
 from humoslope.terrain.grid import SPAWN_X, TerrainGrid, tile_points
 
 if TYPE_CHECKING:
@@ -28,13 +29,14 @@ def run(
     grid: TerrainGrid | None = None,
 ) -> Path:
     """Writes a PNG of a registered terrain: profiles along the centre line, and relief coloured by the local grade.
+    A course has its segments named.
 
     Args:
         name: Of the terrain.
         out: Where to write; folders are made.
         seed: Of the random numbers; the picture shows the tiles of column 0.
         difficulties: In [0, 1], one tile each; a terrain of one grade is drawn once.
-        grid: Gives tile size and cell; by default those of `TerrainGrid`.
+        grid: Gives tile size and cell; by default those of `TerrainGrid`. A course has its own.
     Returns:
         Where it was written.
     Raises:
@@ -45,8 +47,12 @@ def run(
     kind = registry.find(name)
     if kind.grade[0] == kind.grade[1]:
         difficulties = difficulties[:1]
-    grid = grid or TerrainGrid(columns={name: 1.0})
-    x, y = tile_points(grid.tile_length, grid.tile_width, grid.cell)
+    drawn = course.find(name) if course.is_course(name) else None
+    if drawn is not None:
+        x, y = tile_points(drawn.length, drawn.width, drawn.cell)
+    else:
+        grid = grid or TerrainGrid(columns={name: 1.0})
+        x, y = tile_points(grid.tile_length, grid.tile_width, grid.cell)
     tiles = []
     for level, difficulty in enumerate(difficulties):
         grade = kind.grade_at(difficulty)
@@ -54,7 +60,7 @@ def run(
     out = out if out.suffix else out.with_suffix(".png")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        _draw(name, x, y, tiles, out)
+        _draw(name, x, y, tiles, out, drawn)
     except OSError as error:
         raise UserError(f"cannot write the picture of terrain '{name}' to {out}: {error.strerror}.") from None
     return out
@@ -70,7 +76,12 @@ def local_grade(heights: registry.Array, cell: float) -> registry.Array:
 
 
 def _draw(
-    name: str, x: registry.Array, y: registry.Array, tiles: list[tuple[float, registry.Array]], out: Path
+    name: str,
+    x: registry.Array,
+    y: registry.Array,
+    tiles: list[tuple[float, registry.Array]],
+    out: Path,
+    drawn: Course | None,
 ) -> None:
     # Drawn without pyplot, so that neither a screen nor the backend the user chose matters.
     from matplotlib import colormaps
@@ -84,7 +95,7 @@ def _draw(
     steepest = max(5.0, *(float(np.percentile(grade, 99.0)) for grade in grades))
     colour = ScalarMappable(Normalize(0.0, steepest), colormaps["viridis"])
 
-    columns = min(len(tiles), 3)
+    columns = min(len(tiles), 3) if drawn is None else 1
     rows = -(-len(tiles) // columns)
     extent = (float(x.min()), float(x.max()), float(y.min()), float(y.max()))
     # Tiles keep their proportions, so the height of the page follows from its width.
@@ -94,7 +105,13 @@ def _draw(
     figure.suptitle(f"{name}: {_range(tiles[0][0], tiles[-1][0])}", color=INK, fontsize=13)
     parts = np.asarray(figure.subfigures(2, 1, height_ratios=(2.8, relief_height)))
     top, bottom = parts[0], parts[1]
-    _draw_profiles(top.subplots(), x, y, tiles)
+    profile = top.subplots()
+    _draw_profiles(profile, x, y, tiles)
+    if drawn is None:
+        profile.axvline(SPAWN_X, color="#b03a2e", linewidth=1.0, linestyle=":", label="start")
+    else:
+        _name_segments(profile, drawn)
+    profile.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), reverse=True)
 
     axes = bottom.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for index, axis in enumerate(axes):
@@ -103,7 +120,8 @@ def _draw(
     for axis, (grade, heights), local in zip(axes, tiles, grades, strict=False):
         rgb = colour.to_rgba(local)[..., :3] * _shade(heights, cell)[..., None]
         axis.imshow(np.clip(rgb, 0.0, 1.0).transpose(1, 0, 2), origin="lower", extent=extent, interpolation="nearest")
-        axis.plot(SPAWN_X, 0.0, "o", color="white", markeredgecolor=INK, markersize=5)
+        if drawn is None:
+            axis.plot(SPAWN_X, 0.0, "o", color="white", markeredgecolor=INK, markersize=5)
         axis.set_title(f"grade {grade:.1f}°", fontsize=9, color=INK, loc="left", pad=3)
     bottom.supxlabel("along the direction of travel, m", fontsize=9, color=INK)
     bottom.supylabel("across, m", fontsize=9, color=INK)
@@ -117,7 +135,6 @@ def _draw_profiles(axis: Axes, x: registry.Array, y: registry.Array, tiles: list
     for index, (grade, heights) in enumerate(tiles):
         tone = 0.1 + 0.65 * (1.0 - (index + 1) / len(tiles))
         axis.plot(x[:, middle], heights[:, middle], color=str(tone), linewidth=1.5, label=f"grade {grade:.1f}°")
-    axis.axvline(SPAWN_X, color="#b03a2e", linewidth=1.0, linestyle=":", label="start")
     low, high = axis.get_ylim()
     if high - low < 0.4:  # a flat line needs room to look flat
         axis.set_ylim(0.5 * (low + high) - 0.2, 0.5 * (low + high) + 0.2)
@@ -127,7 +144,17 @@ def _draw_profiles(axis: Axes, x: registry.Array, y: registry.Array, tiles: list
     axis.grid(color="0.9")
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
-    axis.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), reverse=True)
+
+
+def _name_segments(axis: Axes, drawn: Course) -> None:
+    """Shades every other segment, and writes its name above it."""
+    start = 0.0
+    for index, (segment, end) in enumerate(zip(drawn.segments, drawn.ends, strict=True)):
+        if index % 2:
+            axis.axvspan(start, end, color="0.95", zorder=0)
+        words = segment.name.replace(" ", "\n")
+        axis.text(0.5 * (start + end), 1.02, words, transform=axis.get_xaxis_transform(), fontsize=7, ha="center")
+        start = end
 
 
 def _range(low: float, high: float) -> str:

@@ -91,7 +91,8 @@ class TerrainGrid:
 
     def _column_names(self) -> list[str]:
         for name, share in self.columns.items():
-            registry.find(name)
+            if not registry.find(name).training:
+                raise UserError(f"terrain grid: '{name}' is what policies are measured on; they must not train on it.")
             if not 0.0 <= share < math.inf:
                 raise UserError(f"terrain grid: the share of '{name}' is {share}; it must be 0 or more.")
         shares = {name: share for name, share in self.columns.items() if share > 0.0}

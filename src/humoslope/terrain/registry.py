@@ -27,11 +27,13 @@ class Kind:
         grade: Range in degrees that difficulty 0..1 runs through.
         function: `(x, y, grade, rng) -> height`; x, y and height are [nx, ny] in metres, x from the start of the tile
             along the direction of travel, y from its centre line to the left, grade in degrees.
+        training: Whether training may use it; what policies are measured on must be new to them.
     """
 
     name: str
     grade: tuple[float, float]
     function: HeightFunction
+    training: bool = True
 
     def grade_at(self, difficulty: float) -> float:
         """Grade in degrees at a difficulty in [0, 1]."""
@@ -63,12 +65,13 @@ class Kind:
         return heights
 
 
-def terrain(name: str, grade: tuple[float, float]) -> Callable[[_F], _F]:
+def terrain(name: str, grade: tuple[float, float], *, training: bool = True) -> Callable[[_F], _F]:
     """Registers a height function under a name.
 
     Args:
         name: What a `TerrainGrid` and the command line call it.
         grade: Range in degrees that difficulty 0..1 runs through.
+        training: Whether a `TerrainGrid` may hold it.
     Returns:
         A decorator that gives the function back unchanged.
     Raises:
@@ -85,7 +88,7 @@ def terrain(name: str, grade: tuple[float, float]) -> Callable[[_F], _F]:
                 f"terrain '{name}' is registered twice, by {_where(taken)} and {_where(function)}; "
                 "give one of them another name."
             )
-        _REGISTRY[name] = Kind(name, (float(low), float(high)), function)
+        _REGISTRY[name] = Kind(name, (float(low), float(high)), function, training)
         return function
 
     return register
@@ -101,6 +104,11 @@ def find(name: str) -> Kind:
 def names() -> tuple[str, ...]:
     """All registered names, sorted."""
     return tuple(sorted(_REGISTRY))
+
+
+def training_names() -> tuple[str, ...]:
+    """The names of what training may use, sorted."""
+    return tuple(name for name in names() if _REGISTRY[name].training)
 
 
 def _where(function: HeightFunction) -> str:

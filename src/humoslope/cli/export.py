@@ -1,0 +1,61 @@
+"""`humoslope export CHECKPOINT`: a policy as files that run without this framework."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+
+from humoslope.cli.options import trained_task
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
+from humoslope.files import check_place
+from humoslope.play.contract import FILE
+from humoslope.registry import load_content
+from humoslope.rl.export import DEPLOY, MODEL, ONNX, export, record_observations
+from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
+
+WALK = RampProtocol(grades=(0.0, 20.0, -20.0), starts=2, seconds=2.0)
+"""What is walked to compare the network with the actor on what it sees there."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Exports a trained policy: its network as ONNX, a contract with all that is needed to run it, the robot's model,
+    and a deploy.yaml for Unitree RL Lab's deployment.
+
+    Attributes:
+        checkpoint: A checkpoint, or a run folder for its newest one.
+        out: Folder to write into; by default beside the checkpoint.
+    """
+
+    checkpoint: tyro.conf.Positional[Path]
+    out: Path | None = None
+
+
+def run(arguments: list[str]) -> None:
+    """Exports the checkpoint named in `arguments`."""
+    options = tyro.cli(Options, args=arguments, prog="humoslope export")
+    load_content()
+    path = find_checkpoint(options.checkpoint)
+    provenance = read_provenance(path)
+    folder = options.out or path.with_suffix(".export")
+    for file in (FILE, MODEL, ONNX, DEPLOY):
+        check_place(folder / file)
+
+    console = Console()
+    console.print(f"{provenance.task}, iteration {provenance.iteration}: walking, translating", soft_wrap=True)
+    task = trained_task(path, provenance.task)
+    env = ManagerBasedRlEnv(ramp_env_cfg(task.env, WALK))
+    actor = load_actor(path, env, provenance.task)
+    result = export(actor, env, task.env, record_observations(env, actor, WALK.seconds), folder)
+    network = result.contract.network
+    console.print(
+        f"ONNX {network.inputs} -> {network.outputs}; at most {result.difference:.1g} from torch over "
+        f"{result.compared} observations of a walk\n{provenance.training}\n"
+        f"wrote {folder}: {FILE}, {MODEL}, {ONNX}, {DEPLOY}",
+        soft_wrap=True,
+        highlight=False,
+    )

@@ -1,0 +1,37 @@
+"""`humoslope figures RESULT ...`: figures of what `humoslope evaluate` has measured."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import tyro
+
+from humoslope.evaluation.figures import draw_all
+from humoslope.evaluation.results import read_results
+from humoslope.files import check_place
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Draws, for several methods at once: the height of the centre of mass by grade, success by grade and friction, how
+    far the trials came, and hip torque and knee flexion along the track.
+
+    Attributes:
+        results: JSON files that `humoslope evaluate` wrote, as FILE or NAME=FILE, or folders of them.
+        out: Folder for the pictures.
+        grade: Of the figure along the track, degrees.
+    """
+
+    results: tyro.conf.Positional[tuple[str, ...]]
+    out: Path = Path("figures")
+    grade: float = 20.0
+
+
+def run(arguments: list[str]) -> None:
+    """Draws the results named in `arguments`."""
+    options = tyro.cli(Options, args=arguments, prog="humoslope figures")
+    results = read_results(options.results)
+    check_place(options.out / "success.png")
+    for path in draw_all(results, options.out, options.grade):
+        print(f"wrote {path}")

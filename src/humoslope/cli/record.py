@@ -1,0 +1,64 @@
+"""`humoslope record CHECKPOINT`: lets a policy walk once and keeps the walk as a rollout file."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.files import check_place
+from humoslope.registry import build_task, load_content
+from humoslope.replay.record import RecordProtocol, record, record_env_cfg, signed
+from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Lets a trained policy walk once, and writes the walk to a file that `replay` and `video` show.
+
+    Attributes:
+        checkpoint: A checkpoint, or a run folder for its newest one.
+        protocol: What is recorded.
+        out: Where the rollout is written; by default beside the checkpoint.
+        label: What viewers call it; by default the checkpoint's name.
+    """
+
+    checkpoint: tyro.conf.Positional[Path]
+    protocol: Annotated[RecordProtocol, tyro.conf.arg(name="")] = dataclasses.field(default_factory=RecordProtocol)
+    out: Path | None = None
+    label: str | None = None
+
+
+def run(arguments: list[str]) -> None:
+    """Records the checkpoint named in `arguments`."""
+    options = tyro.cli(Options, args=arguments, prog="humoslope record")
+    load_content()
+    path, protocol, console = find_checkpoint(options.checkpoint), options.protocol, Console()
+    provenance = read_provenance(path)
+    grade = protocol.resolve_grade()
+    out = options.out or path.with_name(f"{path.stem}.{protocol.terrain}-{grade:g}.rollout.npz")
+    check_place(out)
+    env = ManagerBasedRlEnv(record_env_cfg(build_task(provenance.task).env, protocol))
+    actor = load_actor(path, env, provenance.task)
+    console.print(
+        f"{provenance.task}, iteration {provenance.iteration}: {protocol.terrain} at {grade:g}°, "
+        f"{protocol.speed:g} m/s, {protocol.seconds:g} s; physics '{env.sim.backend}', "
+        f"{env.cfg.sim.timestep * 1e3:g} ms x {env.cfg.sim.decimation}, {env.cfg.sim.cone} cone",
+        highlight=False,
+        soft_wrap=True,
+    )
+    columns = (TextColumn("walking"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("", total=round(protocol.seconds / env.step_dt))
+        rollout = record(env, actor, protocol, lambda: progress.advance(bar))
+    signed(rollout, provenance, options.label or path.stem).save(out)
+    for event in rollout.events:
+        console.print(f"{event.time:7.2f} s  {event.text}", highlight=False)
+    for warning in env.sim.warnings():
+        console.print(f"[yellow]physics: {warning}[/yellow]")
+    console.print(f"wrote {out} ({out.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)

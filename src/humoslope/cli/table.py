@@ -1,0 +1,57 @@
+"""`humoslope table WHICH RESULT ...`: the paper's tables, of what `humoslope evaluate` has measured."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from humoslope.evaluation.paper import Paper, read_paper
+from humoslope.evaluation.results import Result, read_results
+from humoslope.evaluation.sheet import Sheet
+from humoslope.evaluation.tables import ablation_table, cells_table, diagnostics_table, main_table
+from humoslope.files import check_place, write_text
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Prints a table of several methods, with the paper's row below each of ours.
+
+    Attributes:
+        which: "1": success, distance and time at each grade; "2": efficiency, stability, posture and load at one;
+            "diagnostics": posture and load uphill, on the flat and downhill; "cells": all by grade and friction.
+        results: JSON files that `humoslope evaluate` wrote, as FILE or NAME=FILE, or folders of them. A row of the
+            paper goes with a method by its task, or by the name given here. That of a sweep fills in the maximal grade.
+        grade: Of table 2 and of the diagnostics, degrees; the paper's is 20.
+        out: Also write it there, as .md, .csv and .json; a name without ending.
+    """
+
+    which: tyro.conf.Positional[Literal["1", "2", "diagnostics", "cells"]]
+    results: tyro.conf.Positional[tuple[str, ...]]
+    grade: float = 20.0
+    out: Path | None = None
+
+
+def run(arguments: list[str]) -> None:
+    """Prints the table named in `arguments`."""
+    options = tyro.cli(Options, args=arguments, prog="humoslope table")
+    sheet = _sheet(options, read_results(options.results), read_paper())
+    writers = {".md": sheet.to_markdown, ".csv": sheet.to_csv, ".json": sheet.to_json}
+    paths = {} if options.out is None else {options.out.with_name(options.out.name + end): end for end in writers}
+    for path in paths:
+        check_place(path)
+
+    sheet.show()
+    for path, end in paths.items():
+        write_text(path, writers[end]())
+        print(f"wrote {path}")
+
+
+def _sheet(options: Options, results: list[Result], paper: Paper) -> Sheet:
+    if options.which == "1":
+        return main_table(results, paper)
+    if options.which == "2":
+        return ablation_table(results, paper, options.grade)
+    return diagnostics_table(results, options.grade) if options.which == "diagnostics" else cells_table(results)

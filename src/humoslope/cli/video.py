@@ -1,0 +1,55 @@
+"""`humoslope video ROLLOUT`: a video and a contact sheet of a recorded walk."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from humoslope.errors import UserError
+from humoslope.files import check_place
+from humoslope.replay.rollout import load_rollout
+from humoslope.replay.video import VideoCfg, write_sheet, write_video
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Draws a recorded walk to an mp4 and to a PNG contact sheet. Needs no display, GPU or graphics driver.
+
+    Attributes:
+        rollout: A file that `humoslope record` wrote.
+        video: What is filmed.
+        out: Where the video is written; by default beside the rollout. The contact sheet has the same name with .png.
+        sheet_only: Draws the contact sheet alone.
+    """
+
+    rollout: tyro.conf.Positional[Path]
+    video: Annotated[VideoCfg, tyro.conf.arg(name="")] = dataclasses.field(default_factory=VideoCfg)
+    out: Path | None = None
+    sheet_only: bool = False
+
+
+def run(arguments: list[str]) -> None:
+    """Draws the rollout named in `arguments`."""
+    options = tyro.cli(Options, args=arguments, prog="humoslope video")
+    rollout, cfg, console = load_rollout(options.rollout), options.video, Console()
+    stem = options.rollout.name.removesuffix(".npz").removesuffix(".rollout")
+    out = options.out or options.rollout.with_name(f"{stem}.mp4")
+    if out.suffix != ".mp4":
+        raise UserError(f"--out '{out}' must end in .mp4.")
+    sheet = out.with_suffix(".png")
+    for path in (out, sheet):
+        check_place(path)
+    write_sheet(rollout, sheet, cfg)
+    console.print(f"wrote {sheet}", soft_wrap=True)
+    if options.sheet_only:
+        return
+    columns = (TextColumn("drawing"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("", total=len(cfg.steps(rollout)))
+        write_video(rollout, out, cfg, lambda: progress.advance(bar))
+    console.print(f"wrote {out} ({out.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)

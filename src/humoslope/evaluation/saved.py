@@ -1,0 +1,76 @@
+"""Finished trials on disk, so that an evaluation that was interrupted goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from humoslope.env import EnvCfg
+from humoslope.evaluation.heldout import HeldOutTrials, Relay
+from humoslope.evaluation.metrics import TrackTrials
+from humoslope.evaluation.protocol import HeldOutProtocol
+from humoslope.evaluation.records import each, from_arrays, to_arrays
+from humoslope.files import write_atomically
+from humoslope.rl.rundir import plain
+
+
+def fingerprint(cfg: EnvCfg, relay: Relay, sha256: str) -> str:
+    """A hash of what decides the outcome of a trial: protocol, ground, environment, machine and checkpoint.
+
+    How many trials there are is not in it, so that a first look with a few of them is the beginning of a full one.
+
+    Args:
+        sha256: Of the checkpoint.
+    """
+    protocol = asdict(relay.protocol)
+    del protocol["trials"]
+    whole = {
+        "protocol": protocol,
+        "lanes": relay.lanes,
+        "ground": hashlib.sha256(cfg.scene.terrain.build().heights.tobytes()).hexdigest(),
+        "segments": plain(relay.course.segments),
+        "environment": {name: plain(value) for name, value in vars(cfg).items() if name != "scene"},
+        "robot": plain(cfg.scene.robot),
+        "machine": [torch.cuda.is_available(), torch.get_num_threads(), torch.__version__, mujoco.__version__],
+        "checkpoint": sha256,
+    }
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
+
+
+def save(path: Path, trials: HeldOutTrials, mark: str) -> None:
+    """Writes the trials and the fingerprint they belong to in one step."""
+    arrays: dict[str, Any] = {"fingerprint": np.array(mark), **to_arrays(trials)}
+    write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
+
+
+def load(path: Path, mark: str, protocol: HeldOutProtocol) -> HeldOutTrials | None:
+    """The trials saved at `path` as far as this protocol has them, if they have this fingerprint.
+
+    None if there is no such file, or it belongs to something else.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+        if str(arrays.pop("fingerprint")) != mark:
+            return None
+        trials = from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials})
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+    return each(lambda values: _resize(values, protocol), trials)
+
+
+def _resize(values: np.ndarray, protocol: HeldOutProtocol) -> np.ndarray:
+    """Results [T, ...] for as many trials in each cell as the protocol has; those there are not yet are all zero."""
+    cells = values.reshape(protocol.num_cells, -1, *values.shape[1:])
+    kept = cells[:, : protocol.trials]
+    result = np.zeros((protocol.num_cells, protocol.trials, *values.shape[1:]), dtype=values.dtype)
+    result[:, : kept.shape[1]] = kept
+    return result.reshape(-1, *values.shape[1:])

@@ -1,0 +1,75 @@
+"""What happened in a recorded walk, read off its columns: falls, pushes, and the ground it came to."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humoslope.replay.rollout import Columns, Event
+
+SETTLED = 0.3
+"""Other ground counts once it has lasted this long, s: less is a bump."""
+
+GROUND = ("level ground", "slope up", "slope down")
+
+
+def falls(columns: Columns, last: bool) -> list[Event]:
+    """Each fall, after which the robot is put up again.
+
+    Args:
+        last: Whether the last row is a fall too.
+    """
+    rows = np.flatnonzero(np.diff(columns.episode)).tolist() + ([len(columns) - 1] if last else [])
+    return [Event(float(columns.time[row]), "fall", "the robot falls") for row in rows]
+
+
+def pushes(kicks: Sequence[tuple[float, float, float]]) -> list[Event]:
+    """Each push.
+
+    Args:
+        kicks: (time in s, change of velocity along world x and y in m/s).
+    """
+    return [
+        Event(time, "push", f"push of {math.hypot(x, y):.2f} m/s towards {math.degrees(math.atan2(y, x)):.0f}°")
+        for time, x, y in kicks
+    ]
+
+
+def grounds(columns: Columns, dt: float) -> list[Event]:
+    """Each change between level ground and slopes, as the fitted plane sees it, with the plane's grade."""
+    kind = np.where(columns.uphill, 1, np.where(columns.downhill, 2, 0))
+    events, known = [], -1
+    for start, end in _runs(kind):
+        if kind[start] == known or (end - start) * dt < SETTLED:
+            continue
+        known = int(kind[start])
+        grade = f" of {math.degrees(float(np.median(columns.slope[start:end]))):+.0f}°" if known else ""
+        events.append(Event(float(columns.time[start]), "ground", GROUND[known] + grade))
+    return events
+
+
+def segments(columns: Columns, start_x: float, names: Sequence[str], ends: Sequence[float]) -> list[Event]:
+    """Each segment of a course, when it is come to for the first time since the last fall.
+
+    Args:
+        start_x: World x at which the course starts, m.
+        names, ends: Of the segments; where each ends, m from the start.
+    """
+    index = np.searchsorted(np.asarray(ends[:-1]), columns.root_pos_w[:, 0] - start_x, side="right")
+    events, known, episode = [], -1, -1
+    for row, (place, now) in enumerate(zip(index.tolist(), columns.episode.tolist(), strict=True)):
+        if now == episode and place <= known:
+            continue
+        known, episode = place, now
+        events.append(Event(float(columns.time[row]), "ground", names[place]))
+    return events
+
+
+def _runs(values: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """First row, and row after the last, of each stretch of equal values."""
+    cuts = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return list(itertools.pairwise(cuts))

@@ -1,0 +1,100 @@
+"""The robot of a rollout, from its URDF: what each link looks like, and where it is at every step."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import trimesh
+import yourdfpy
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from humoslope.errors import UserError
+from humoslope.replay.rollout import Rollout
+from humoslope.replay.shape import Shape
+
+Array = NDArray[np.float64]
+
+CREASE = math.radians(40.0)
+"""Edges sharper than this stay visible when a shape is shaded smoothly, rad."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where things are over T steps: `rotation` [T, 3, 3] and `position` [T, 3] m, world frame."""
+
+    rotation: Array
+    position: Array
+
+
+class RobotShape:
+    """A robot as it is drawn.
+
+    Args:
+        urdf: Its text.
+        meshes: What each link looks like, instead of the shapes in the URDF.
+
+    Attributes:
+        shapes: What each link that has one looks like, in the link's frame.
+    """
+
+    def __init__(self, urdf: str, meshes: Mapping[str, Shape] | None = None) -> None:
+        try:
+            self._urdf = yourdfpy.URDF.load(io.BytesIO(urdf.encode()), load_meshes=False)
+        except Exception:  # lxml and yourdfpy raise whatever they stumble on
+            raise UserError("the URDF in this rollout cannot be read; record it anew.") from None
+        drawn = [link.name for link in self._urdf.robot.links if link.visuals]
+        self.shapes = dict(meshes) if meshes is not None else {link: _shape(self._urdf, link) for link in drawn}
+
+    def poses(self, rollout: Rollout) -> dict[str, Poses]:
+        """Where every link is at every step of a walk."""
+        columns = rollout.columns
+        joint_pos = dict(zip(rollout.joint_names, columns.joint_pos.T.astype(np.float64), strict=True))
+        w, x, y, z = columns.root_quat_w.T.astype(np.float64)
+        root = Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix()
+        poses = {rollout.header["robot"]["root"]: Poses(root, columns.root_pos_w.astype(np.float64))}
+        joints = list(self._urdf.robot.joints)
+        while joints:  # a URDF may list a joint before its parent's
+            ready = [joint for joint in joints if joint.parent in poses]
+            if not ready:
+                raise UserError(f"the URDF in this rollout does not connect '{joints[0].child}' to its root.")
+            for joint in ready:
+                poses[joint.child] = _beyond(poses[joint.parent], joint, joint_pos.get(joint.name))
+            joints = [joint for joint in joints if joint not in ready]
+        return poses
+
+
+def _beyond(parent: Poses, joint: Any, angle: Array | None) -> Poses:
+    """Where the link behind a joint is; `angle` [T] in rad is None for a joint that does not move."""
+    origin = np.eye(4) if joint.origin is None else joint.origin
+    position = parent.position + parent.rotation @ origin[:3, 3]
+    rotation = parent.rotation @ origin[:3, :3]
+    if angle is not None:
+        rotation = rotation @ Rotation.from_rotvec(angle[:, None] * joint.axis).as_matrix()
+    return Poses(rotation, position)
+
+
+def _shape(urdf: yourdfpy.URDF, link: str) -> Shape:
+    """The visuals of a link as one mesh; yourdfpy has put them into its scene below the link."""
+    parts, colours = [], []
+    for name in urdf.scene.graph.nodes_geometry:
+        if urdf.scene.graph.transforms.parents[name] != link:
+            continue
+        pose, geometry = urdf.scene.graph.get(name, link)
+        drawn = urdf.scene.geometry[geometry]
+        part = trimesh.graph.smooth_shade(drawn.to_mesh(), angle=CREASE)
+        part.apply_transform(pose)
+        parts.append(part)
+        colours.append(np.tile(drawn.visual.main_color[:3], (len(part.vertices), 1)))
+    whole: Any = trimesh.util.concatenate(parts)
+    return Shape(
+        vertices=whole.vertices.astype(np.float32),
+        normals=whole.vertex_normals.astype(np.float32),
+        triangles=whole.faces.astype(np.int32),
+        colours=np.concatenate(colours).astype(np.uint8),
+    )

@@ -1,0 +1,153 @@
+"""Opening a recording in rerun's viewer, in a window or in a browser."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import IO
+from urllib.parse import quote
+
+import rerun_cli
+
+from humoslope.errors import UserError
+
+HOST = "127.0.0.1"
+"""Only this machine can see what is served."""
+PROGRAMS = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
+"""Where the viewer is in its package, on each system."""
+START_S = 60.0
+"""How long the page may take to be there, s."""
+SERVED = "walk.rrd"
+
+
+def open_window(path: Path) -> None:
+    """Shows a recording in a window, until it is closed.
+
+    Raises:
+        UserError: If there is no display, or the viewer does not run on this machine.
+    """
+    if not has_display():
+        raise UserError(
+            "there is no display; look from a browser with --web, elsewhere with --save FILE.rrd, "
+            "or make a video with `humoslope video`."
+        )
+    with tempfile.TemporaryFile("w+") as said:
+        done = subprocess.run([program(), str(path), "--port", "auto", "--bind", HOST], stderr=said, check=False)
+        if done.returncode:
+            raise _failure(done.returncode, said)
+
+
+def has_display() -> bool:
+    """Whether windows can be opened."""
+    return not sys.platform.startswith("linux") or any(os.environ.get(n) for n in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+@contextmanager
+def served(path: Path, web_port: int, port: int) -> Iterator[str]:
+    """Serves a recording and rerun's page that shows it, as long as the context lasts; gives the page's address.
+
+    The page fetches the file as a whole. rerun could also stream it, but then the viewer starts at its end.
+
+    Args:
+        web_port: Of the page.
+        port: Of the recording.
+
+    Raises:
+        UserError: If a port is in use, or the page does not come up.
+    """
+    if web_port == port:
+        raise UserError(f"--web-port and --port are both {port}; they must differ.")
+    for option, number in (("web-port", web_port), ("port", port)):
+        check_port(option, number)
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
+        shutil.copyfile(path, Path(folder) / SERVED)
+        files = ThreadingHTTPServer((HOST, port), partial(_Files, f"http://{HOST}:{web_port}", directory=folder))
+        threading.Thread(target=files.serve_forever, daemon=True).start()
+        recording = f"http://{HOST}:{port}/{SERVED}"
+        command = [program(), recording, "--serve-web", "--bind", HOST, "--web-viewer-port", str(web_port)]
+        page = subprocess.Popen(command, stdout=said, stderr=said)
+        try:
+            _wait_for(page, web_port, said)
+            yield f"http://{HOST}:{web_port}/?url={quote(recording, safe='')}"
+        finally:
+            page.terminate()
+            page.wait()
+            files.shutdown()
+            files.server_close()
+
+
+class _Files(SimpleHTTPRequestHandler):
+    """Hands out the files of a folder to the viewer's page and to no other."""
+
+    def __init__(self, origin: str, *args: object, **keywords: object) -> None:
+        self._origin = origin
+        super().__init__(*args, **keywords)  # type: ignore[arg-type]
+
+    def end_headers(self) -> None:
+        self.send_header("Access-Control-Allow-Origin", self._origin)
+        super().end_headers()
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Requests are nobody's business."""
+
+
+def check_port(option: str, number: int) -> None:
+    """Says that a port cannot be listened on before anything is started.
+
+    Raises:
+        UserError: If so.
+    """
+    if not 1 <= number <= 65535:
+        raise UserError(f"--{option} is {number}; it must be between 1 and 65535.")
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, number))
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise UserError(f"port {number} cannot be used ({reason}); choose another with --{option}.") from None
+
+
+def _wait_for(page: subprocess.Popen[bytes], web_port: int, said: IO[str]) -> None:
+    until = time.monotonic() + START_S
+    while time.monotonic() < until:
+        if page.poll() is not None:
+            raise _failure(page.returncode, said)
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            if probe.connect_ex((HOST, web_port)) == 0:
+                return
+        time.sleep(0.1)
+    raise UserError(f"rerun's page did not come up on port {web_port} within {START_S:g} s.")
+
+
+def program() -> str:
+    """The viewer itself: the script that pip makes of it passes on neither signals nor exit codes."""
+    folder = Path(rerun_cli.__file__).parent
+    for name in PROGRAMS:
+        if (folder / name).is_file():
+            return str(folder / name)
+    raise UserError("rerun's viewer is not installed; `make setup` installs it.")
+
+
+def _failure(code: int, said: IO[str]) -> UserError:
+    """Why the viewer ended, from what it wrote to its error stream."""
+    said.seek(0)
+    text = said.read()
+    if "adapter" in text or "render context" in text:
+        return UserError(
+            "rerun finds no graphics driver; install one for Vulkan (on Debian: mesa-vulkan-drivers), "
+            "look from a browser with --web, or make a video with `humoslope video`."
+        )
+    last = text.strip().splitlines()[-1].strip().rstrip(".") if text.strip() else "it said nothing"
+    return UserError(f"rerun's viewer ended with code {code}: {last}.")

@@ -1,0 +1,78 @@
+"""`humoslope export` and `humoslope play`: what is written, what is said, and the mistakes."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import glfw
+import pytest
+import torch
+
+from humoslope.cli import main
+from humoslope.play import contract as contracts
+from humoslope.play import live
+from robots.unitree_g1 import UNITREE_G1
+
+
+def test_a_run_is_exported_beside_its_newest_checkpoint_with_its_own_options(
+    untrained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in (2, 10):
+        shutil.copy(untrained, tmp_path / f"model_{number}.pt")
+    (tmp_path / "options.txt").write_text("--preset cpu --env.actions.scale-factor 0.5 --env.command.speed 0.2 0.4")
+    assert main(["export", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "ONNX 480 -> 29; at most" in printed
+    assert "over 600 observations of a walk" in printed
+    assert "harness, which still had 100 % of its strength" in printed
+    contract = contracts.read(tmp_path / "model_10.export")
+    assert contract.joints[3].action_scale_rad == 0.5 * UNITREE_G1.action_scale[3]
+    assert contract.commands.forward_m_s == (0.2, 0.4)
+    assert contract.timing.physics_step_s == 0.005  # of the evaluation, not of the preset
+
+    assert main(["play", str(tmp_path / "model_10.export"), "--headless", "--seconds", "5"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"It fell after \d\.\d s\. Way ", printed)
+    assert "It was trained at 0.2 to 0.4 m/s." in printed
+
+
+def test_one_walk_is_told_and_several_are_counted(exported: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["play", str(exported), "--headless", "--seconds", "2.5", "--grade", "-10"]) == 0
+    printed = capsys.readouterr().out
+    assert "a ramp of -10 degrees, friction 0.8, 0.5 m/s asked; MuJoCo at 5 ms x 4" in printed
+    assert re.search(r"No fall in 2\.5 s\. Way [0-9.]+ m, mean speed from 2 s on 0\.\d+ m/s\.", printed)
+    assert "trained at" not in printed
+    assert main(["play", str(exported), "--headless", "--seconds", "0.5", "--trials", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert "Falls 0/2: 0.0 %, 95 % interval 0.0-65.8 %. Mean way" in printed
+    assert "mean speed from 2 s on -." in printed
+
+
+def test_a_window_is_opened_where_there_is_a_display(
+    exported: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(live, "check_display", lambda: None)
+    monkeypatch.setattr(live, "live", lambda player, say: say("It fell."))
+    assert main(["play", str(exported)]) == 0
+    printed = capsys.readouterr().out
+    assert live.KEYS in printed
+    assert "It fell." in printed
+
+
+def test_mistakes_are_said_in_one_sentence(
+    mistake: Callable[..., str], exported: Path, untrained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "checkpoint" in mistake("export", str(tmp_path / "missing.pt"))
+    (tmp_path / "file").write_text("")
+    assert "is no folder one can write to" in mistake("export", str(untrained), "--out", str(tmp_path / "file"))
+    torch.save(torch.load(untrained, weights_only=True) | {"task": "HumoSlope-Stage1-Unitree-G2"}, tmp_path / "m.pt")
+    assert "did you mean 'HumoSlope-Stage1-Unitree-G1'?" in mistake("export", str(tmp_path / "m.pt"))
+
+    assert "holds no policy.json; `humoslope export CHECKPOINT` writes one" in mistake("play", str(tmp_path))
+    assert "a window shows one walk; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
+    assert "--grade 70 must be between" in mistake("play", str(exported), "--grade", "70", "--headless")
+    monkeypatch.setattr(glfw, "init", lambda: False)
+    assert "there is no display to open a window on; add --headless" in mistake("play", str(exported))

@@ -1,0 +1,73 @@
+"""Scripted walks along a track, whose every figure is known beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from humoslope.evaluation.metrics import StepSample, TrackRecorder, TrackTrials
+from robots.unitree_g1 import UNITREE_G1
+
+DT = 0.02
+TRACK = 10.0  # m
+SEGMENTS = (2.0, 5.0, 8.0)  # m, where the second, third and fourth segment begin
+
+
+def index(name: str) -> int:
+    return UNITREE_G1.joint_names.index(name)
+
+
+def sample(worlds: int, place: float | Tensor = 0.0, **values: float | Tensor) -> StepSample:
+    """A sample of `worlds` worlds that all show these values; joints by name, such as left_knee_joint_torque."""
+    place = torch.as_tensor(place, dtype=torch.float32).expand(worlds).contiguous()
+    joints = {kind: torch.zeros(worlds, UNITREE_G1.num_joints) for kind in ("pos", "vel", "torque")}
+    plain = dict.fromkeys(("speed", "yaw_rate", "com_height", "root_height", "torso_pitch"), torch.zeros(worlds))
+    for name, value in values.items():
+        spread = torch.as_tensor(value, dtype=torch.float32).expand(worlds)
+        if name in plain:
+            plain[name] = spread
+        else:
+            joint, _, kind = name.rpartition("_")
+            joints[kind][:, index(joint)] = spread
+    return StepSample(
+        place=place,
+        segment=torch.bucketize(place, torch.tensor(SEGMENTS), right=True),
+        **plain,
+        joint_pos=joints["pos"],
+        joint_vel=joints["vel"],
+        joint_torque=joints["torque"],
+    )
+
+
+def recorder(trials: int, dt: float = DT, **changes: object) -> TrackRecorder:
+    settings = {"robot": UNITREE_G1, "length": TRACK, "commanded": 0.5, "device": torch.device("cpu")}
+    return TrackRecorder(trials, len(SEGMENTS) + 1, dt, **settings | changes)
+
+
+def walk(steps: int, show: Callable[[int], dict[str, object]], worlds: int = 1, speed: float = 0.5) -> TrackTrials:
+    """Every world walks its own trial at `speed` and shows what `show` tells of each step."""
+    track = recorder(worlds)
+    everyone, numbers = torch.ones(worlds, dtype=torch.bool), torch.arange(worlds)
+    for step in range(steps):
+        track.add(numbers, sample(worlds, 0.5 + speed * DT * step, speed=speed, **show(step)), everyone)
+    return track.trials()
+
+
+def outcomes(trials: TrackTrials, **arrays: object) -> SimpleNamespace:
+    """Finished trials with these outcomes, such as success=[True, False]; by default all in one condition."""
+    nobody, zero = np.zeros(len(trials), dtype=bool), np.zeros(len(trials))
+    default = {"success": nobody, "fell": nobody, "left": nobody, "timed_out": nobody}
+    default |= {"seconds": zero, "max_place": zero}
+    default |= {"grade_index": zero.astype(np.int64), "tier_index": zero.astype(np.int64)}
+    given = {name: np.array(value) for name, value in arrays.items()}
+    return SimpleNamespace(metrics=trials, **default | given)
+
+
+def as_if(trials: TrackTrials, **arrays: object) -> TrackTrials:
+    """The trials with some of their arrays replaced."""
+    return replace(trials, **{name: np.array(value) for name, value in arrays.items()})

@@ -1,0 +1,134 @@
+"""What is recorded is what happened."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from humoslope.errors import UserError
+from humoslope.registry import build_task
+from humoslope.replay.record import RecordProtocol, record_env_cfg
+from humoslope.replay.rollout import Rollout
+from terrains.profiles import APPROACH
+
+FALL_WEIGHT, ALIVE_WEIGHT = -100.0, 0.15
+
+
+def rewards(rollout: Rollout, name: str) -> np.ndarray:
+    return rollout.columns.reward[:, rollout.header["reward_terms"].index(name)]
+
+
+def test_there_is_a_row_for_every_control_step(rollout: Rollout) -> None:
+    assert len(rollout.columns) == 200
+    np.testing.assert_allclose(np.diff(rollout.columns.time), 0.02, atol=1e-5)
+    assert rollout.columns.time[-1] == pytest.approx(4.0)
+
+
+def test_a_fall_is_recorded_as_it_is_and_the_robot_starts_anew_after_it(rollout: Rollout) -> None:
+    columns = rollout.columns
+    falls = [event for event in rollout.events if event.kind == "fall"]
+    assert falls
+    for event in falls:
+        row = round(event.time / 0.02) - 1
+        _, x, y, _ = columns.root_quat_w[row]
+        tilt = math.degrees(math.acos(1.0 - 2.0 * (x**2 + y**2)))
+        assert tilt > 54.0 or columns.root_height[row] < 0.41
+        if row + 1 < len(columns):
+            assert columns.episode[row + 1] == columns.episode[row] + 1
+            assert columns.root_height[row + 1] > 0.7
+    np.testing.assert_array_equal(np.flatnonzero(rewards(rollout, "fall")), [round(e.time / 0.02) - 1 for e in falls])
+
+
+def test_rewards_are_weighted_and_per_second(rollout: Rollout) -> None:
+    np.testing.assert_allclose(rewards(rollout, "alive"), ALIVE_WEIGHT)
+    assert rewards(rollout, "fall").min() == pytest.approx(FALL_WEIGHT)
+
+
+def test_pushes_come_when_and_as_hard_as_was_asked(rollout: Rollout) -> None:
+    pushes = [event for event in rollout.events if event.kind == "push"]
+    assert [push.time for push in pushes] == pytest.approx([0.9, 1.8, 2.7, 3.6], abs=0.1)
+    for push in pushes:
+        size, angle = re.fullmatch(r"push of ([0-9.]+) m/s towards (-?[0-9]+)°", push.text).groups()
+        assert 0.0 < float(size) <= 1.5 * math.sqrt(2.0)
+        before = round(push.time / 0.02) - 1
+        jump = np.diff(rollout.columns.root_lin_vel_w[before : before + 2, :2], axis=0)[0]
+        along = jump @ (math.cos(math.radians(float(angle))), math.sin(math.radians(float(angle))))
+        assert along == pytest.approx(float(size), abs=0.4)  # feet answer within a control step
+
+
+def test_the_zero_moment_point_lies_on_the_support_plane_and_the_anchor_at_the_feet(rollout: Rollout) -> None:
+    c = rollout.columns
+    assert c.zmp_valid.mean() > 0.5
+    off_plane = ((c.zmp_w - c.zmp_anchor_w) * c.zmp_normal_w).sum(axis=1)
+    np.testing.assert_allclose(off_plane, 0.0, atol=1e-4)
+    np.testing.assert_array_equal(c.zmp_w[~c.zmp_valid], c.zmp_anchor_w[~c.zmp_valid])
+    reach = np.linalg.norm(c.foot_pos_w[:, 0] - c.foot_pos_w[:, 1], axis=1)
+    assert (np.linalg.norm(c.zmp_anchor_w - c.foot_pos_w[:, 0], axis=1) <= reach + 1e-4).all()
+
+
+def test_the_ground_is_that_of_the_ramp_ahead(rollout: Rollout) -> None:
+    terrain, heights = rollout.header["terrain"], rollout.terrain_heights
+    assert (terrain["name"], terrain["grade"]) == ("ramp-up", 20.0)
+    start = round((terrain["tile_origin"][0] - terrain["origin"][0]) / terrain["cell"])
+    middle = heights[start:, heights.shape[1] // 2]
+    at = round(APPROACH / terrain["cell"])
+    np.testing.assert_allclose(np.diff(middle[at : at + 50]), 0.1 * math.tan(math.radians(20.0)), atol=1e-5)
+    assert rollout.columns.slope[0] == pytest.approx(0.0, abs=0.1)
+    assert rollout.columns.ground_normal_w[0, 2] > 0.99
+
+
+def test_joints_were_told_their_default_pose_as_the_policy_never_acts(rollout: Rollout) -> None:
+    default = np.array(rollout.header["robot"]["default_joint_pos"])
+    np.testing.assert_allclose(rollout.joint_target, np.broadcast_to(default, rollout.joint_target.shape), atol=1e-6)
+
+
+def test_only_a_task_that_asks_for_a_com_height_has_a_target(rollout: Rollout, walk: Callable[..., Rollout]) -> None:
+    assert np.isnan(rollout.columns.com_height_target).all()
+    second = walk("HumoSlope-Stage2-Unitree-G1", RecordProtocol(terrain="flat", seconds=0.2))
+    np.testing.assert_allclose(second.columns.com_height_target, 0.69, atol=1e-4)
+
+
+def test_neither_noise_nor_harness_nor_randomisation_is_left() -> None:
+    cfg = record_env_cfg(build_task("HumoSlope-Stage1-Unitree-G1").env, RecordProtocol())
+    assert [name for name, _ in cfg.events.items()] == ["friction", "root", "joints", "recorder"]
+    assert not cfg.observations.actor.corrupt
+    assert cfg.sim.cone == "elliptic"
+    assert cfg.sim.timestep == 0.005
+
+
+def test_the_ground_is_long_enough_for_a_robot_that_is_half_as_fast_again() -> None:
+    assert RecordProtocol(seconds=60.0, speed=0.5).ground().tile_length >= 1.5 * 60.0 * 0.5
+    assert RecordProtocol(seconds=1.0).ground().tile_length == 10.0
+
+
+def test_the_held_out_track_is_walked_as_it_is_and_its_segments_are_events(walk: Callable[..., Rollout]) -> None:
+    rollout = walk("HumoSlope-Stage1-Unitree-G1", RecordProtocol(terrain="held-out-track", grade=10.0, seconds=0.1))
+    terrain = rollout.header["terrain"]
+    assert (terrain["tile_length"], terrain["cell"]) == (35.0, 0.05)
+    assert [event.text for event in rollout.events] == ["start"]
+
+
+def test_the_usual_grade_is_20_degrees_or_the_nearest_that_there_is() -> None:
+    assert RecordProtocol(terrain="ramp-up").resolve_grade() == 20.0
+    assert RecordProtocol(terrain="flat").resolve_grade() == 0.0
+    assert RecordProtocol(terrain="ramp-up", level=0.5).resolve_grade() == 16.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"grade": 10.0, "level": 0.5}, "not both"),
+        ({"level": 1.5}, "level 1.5"),
+        ({"seconds": 0.0}, "seconds is 0"),
+        ({"push": -1.0}, "push is -1"),
+        ({"terrain": "ramp-upp"}, "did you mean 'ramp-up'"),
+        ({"grade": 50.0}, "grade 50 must be between 0 and 32"),
+    ],
+)
+def test_an_impossible_protocol_is_said_in_one_sentence(wrong: dict[str, object], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        RecordProtocol(**wrong).ground()
