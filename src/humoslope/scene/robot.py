@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
@@ -40,7 +40,7 @@ class MeshSource:
     version: str
     sha256: str
     folder: str
-    visuals: Mapping[str, tuple[MeshVisual, ...]]
+    visuals: Mapping[str, tuple[MeshVisual, ...]] = field(hash=False)  # masks of joints are cached by robot
     licence: str
 
 
