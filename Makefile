@@ -2,12 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
-<<<<<<< HEAD
-ROLLOUT ?= experiments/rollouts/stage1_track20.npz
-=======
 RESULTS ?= experiments/results/heldout
-ROLLOUT ?= experiments/rollouts/stage1_up30.npz
->>>>>>> main
+ROLLOUT ?= experiments/rollouts/stage1_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help

@@ -11,35 +11,34 @@ from humoslope.scene.robot import MeshSource, MeshVisual
 SILVER, BLACK = (179, 179, 179), (51, 51, 51)
 SIDES = ("left", "right")
 
-LEG = ("hip_roll", "hip_yaw", "knee", "ankle_pitch")
-ARM = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch")
+SILVER_PARTS = (
+    *("hip_roll", "hip_yaw", "knee", "ankle_pitch"),
+    *("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw"),
+)
+BLACK_PARTS = ("hip_pitch", "ankle_roll")
 # The torso's origin in that model's waist, from which logo and head are placed, m.
 ON_TORSO = (0.0039635, 0.0, -0.044)
-HAND = {"left": (0.0415, 0.003, 0.0), "right": (0.0415, -0.003, 0.0)}
+# Where a hand is on its wrist, m.
+HANDS = {"left": (0.0415, 0.003, 0.0), "right": (0.0415, -0.003, 0.0)}
 
-VISUALS = {
-    "pelvis": (MeshVisual("pelvis.STL", BLACK), MeshVisual("pelvis_contour_link.STL", SILVER)),
-    "waist_yaw_link": (MeshVisual("waist_yaw_link_rev_1_0.STL", SILVER),),
-    "waist_roll_link": (MeshVisual("waist_roll_link_rev_1_0.STL", SILVER),),
-    "torso_link": (
-        MeshVisual("torso_link_rev_1_0.STL", SILVER),
-        MeshVisual("logo_link.STL", BLACK, ON_TORSO),
-        MeshVisual("head_link.STL", BLACK, ON_TORSO),
-    ),
-    **{f"{s}_{part}_link": (MeshVisual(f"{s}_{part}_link.STL", SILVER),) for s in SIDES for part in (*LEG, *ARM)},
-    **{
-        f"{s}_{part}_link": (MeshVisual(f"{s}_{part}_link.STL", BLACK),)
-        for s in SIDES
-        for part in ("hip_pitch", "ankle_roll")
-    },
-    **{
-        f"{s}_wrist_yaw_link": (
-            MeshVisual(f"{s}_wrist_yaw_link.STL", SILVER),
-            MeshVisual(f"{s}_rubber_hand.STL", SILVER, HAND[s]),
-        )
-        for s in SIDES
-    },
-}
+
+def _own(link: str, colour: tuple[int, int, int]) -> MeshVisual:
+    """The mesh that has its link's name."""
+    return MeshVisual(link, f"{link}.STL", colour)
+
+
+VISUALS = (
+    _own("pelvis", BLACK),
+    MeshVisual("pelvis", "pelvis_contour_link.STL", SILVER),
+    MeshVisual("waist_yaw_link", "waist_yaw_link_rev_1_0.STL", SILVER),
+    MeshVisual("waist_roll_link", "waist_roll_link_rev_1_0.STL", SILVER),
+    MeshVisual("torso_link", "torso_link_rev_1_0.STL", SILVER),
+    MeshVisual("torso_link", "logo_link.STL", BLACK, ON_TORSO),
+    MeshVisual("torso_link", "head_link.STL", BLACK, ON_TORSO),
+    *(_own(f"{side}_{part}_link", SILVER) for side in SIDES for part in SILVER_PARTS),
+    *(_own(f"{side}_{part}_link", BLACK) for side in SIDES for part in BLACK_PARTS),
+    *(MeshVisual(f"{side}_wrist_yaw_link", f"{side}_rubber_hand.STL", SILVER, HANDS[side]) for side in SIDES),
+)
 
 G1_MESHES = MeshSource(
     package="mjlab",

@@ -9,7 +9,7 @@ import os
 import threading
 import zipfile
 from collections.abc import Iterator
-from functools import partial
+from functools import cache, partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from robots.unitree_g1 import UNITREE_G1
 RED, BLUE = (255, 0, 0), (0, 0, 255)
 
 
+@cache
 def wheel() -> bytes:
     """A package with a box and a ball."""
     content = io.BytesIO()
@@ -41,10 +42,11 @@ def wheel() -> bytes:
 
 @pytest.fixture(scope="module")
 def source() -> MeshSource:
-    visuals = {
-        "pelvis": (MeshVisual("box.STL", RED),),
-        "torso_link": (MeshVisual("box.STL", RED), MeshVisual("ball.STL", BLUE, (0.0, 0.0, 2.0))),
-    }
+    visuals = (
+        MeshVisual("pelvis", "box.STL", RED),
+        MeshVisual("torso_link", "box.STL", RED),
+        MeshVisual("torso_link", "ball.STL", BLUE, (0.0, 0.0, 2.0)),
+    )
     digest = hashlib.sha256(wheel()).hexdigest()
     return MeshSource("toys", "1.0", digest, "toys/meshes", visuals, "Toys for everyone.")
 
@@ -117,6 +119,7 @@ def test_meshes_that_were_not_fetched_are_missed_in_one_sentence(tmp_path: Path)
 
 def test_every_link_of_the_g1_that_is_drawn_has_a_mesh(rollout: Rollout) -> None:
     assert UNITREE_G1.meshes is not None
-    assert set(UNITREE_G1.meshes.visuals) == set(RobotShape(rollout.header["robot"]["urdf"]).shapes)
-    files = [visual.file for worn in UNITREE_G1.meshes.visuals.values() for visual in worn]
+    worn = UNITREE_G1.meshes.visuals
+    assert {visual.link for visual in worn} == set(RobotShape(rollout.header["robot"]["urdf"]).shapes)
+    files = [visual.file for visual in worn]
     assert len(files) == len(set(files)) == 35

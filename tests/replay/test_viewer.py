@@ -143,7 +143,7 @@ def _shows_colours(debug: int, address: str, picture: Path) -> bool:
 
         call(1, "Page.navigate", url=address)
         while time.monotonic() < until:
-            time.sleep(1.0)
+            time.sleep(0.5)
             picture.write_bytes(base64.b64decode(call(2, "Page.captureScreenshot")["data"]))
             pixels = np.asarray(Image.open(picture).convert("RGB")).reshape(-1, 3).astype(int)
             blue, orange = (np.abs(pixels - colour).max(axis=1) < 40 for colour in ((66, 133, 244), (251, 140, 0)))

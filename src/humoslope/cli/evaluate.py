@@ -182,11 +182,12 @@ def _conclude(
     if partial:
         console.print(
             f"[yellow]Partial: {walked} of {wanted} trials. Failures end sooner than successes, so the rates are too "
-            "low; the same command goes on.[/yellow]"
+            "low; the same command goes on.[/yellow]",
+            soft_wrap=True,
         )
     limit = None if partial or not options.sweep else _limit(trials, protocol)
     if limit is not None:
-        console.print(_say(limit, protocol))
+        console.print(_say(limit, protocol), soft_wrap=True)
     for evaluation in evaluations:
         console.print(evaluation.source.training, soft_wrap=True, highlight=False)
         warn(console, evaluation.env.sim.warnings())

@@ -33,7 +33,7 @@ def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
     with tempfile.TemporaryDirectory() as temporary:
         with zipfile.ZipFile(_download(source, Path(temporary))) as wheel:
             meshes = {}
-            for file in sorted({visual.file for visuals in source.visuals.values() for visual in visuals}):
+            for file in sorted({visual.file for visual in source.visuals}):
                 try:
                     meshes[file] = wheel.read(f"{source.folder}/{file}")
                 except KeyError:
@@ -43,8 +43,7 @@ def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
         for file, content in meshes.items():
             (folder / file).write_bytes(content)
     write_text(folder / "LICENCE.txt", source.licence + "\n")
-    visuals = {link: [vars(visual) for visual in worn] for link, worn in source.visuals.items()}
-    write_text(folder / INDEX, json.dumps(visuals, indent=2) + "\n")
+    write_text(folder / INDEX, json.dumps([vars(visual) for visual in source.visuals], indent=2) + "\n")
     return folder
 
 
@@ -58,14 +57,18 @@ def load_meshes(robot: str, cache: Path = CACHE) -> dict[str, Shape]:
     if not (folder / INDEX).is_file():
         raise UserError(f"there are no meshes of '{robot}' in '{folder}'; `humoslope meshes` fetches them.")
     try:
-        visuals = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-        return {link: joined([_shape(folder, **visual) for visual in worn]) for link, worn in visuals.items()}
-    except (OSError, ValueError, TypeError):
+        worn: dict[str, list[Shape]] = {}
+        for visual in json.loads((folder / INDEX).read_text(encoding="utf-8")):
+            worn.setdefault(visual.pop("link"), []).append(_shape(folder, **visual))
+        return {link: joined(shapes) for link, shapes in worn.items()}
+    except (OSError, ValueError, TypeError, KeyError):
         raise UserError(f"the meshes in '{folder}' are broken; `humoslope meshes` fetches them anew.") from None
 
 
 def _shape(folder: Path, file: str, colour: list[int], position: list[float]) -> Shape:
     mesh = trimesh.load_mesh(folder / file)
+    if not len(mesh.faces):  # what trimesh makes of most files that are no mesh
+        raise ValueError(file)
     return Shape(
         vertices=(mesh.vertices + position).astype(np.float32),
         normals=mesh.vertex_normals.astype(np.float32),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -14,11 +14,13 @@ class MeshVisual:
     """A mesh on a link.
 
     Attributes:
+        link: That wears it.
         file: Name of an STL file, in metres and in the link's frame.
         position: Where it is moved to in that frame, m.
         colour: (red, green, blue) in 0..255.
     """
 
+    link: str
     file: str
     colour: tuple[int, int, int]
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -32,7 +34,7 @@ class MeshSource:
         package, version: On the package index.
         sha256: Of its wheel, hexadecimal.
         folder: Of the meshes in the wheel.
-        visuals: Meshes of each link.
+        visuals: Every mesh on its link.
         licence: What the user should know of their licence.
     """
 
@@ -40,7 +42,7 @@ class MeshSource:
     version: str
     sha256: str
     folder: str
-    visuals: Mapping[str, tuple[MeshVisual, ...]] = field(hash=False)  # masks of joints are cached by robot
+    visuals: tuple[MeshVisual, ...]
     licence: str
 
 
