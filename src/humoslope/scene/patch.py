@@ -48,9 +48,9 @@ class GroundPatch:
         self._signals, self._terrain, self._tiles = signals, terrain, tiles
         device = tiles.origin_w.device
         axis = (torch.arange(cfg.size, device=device) - 0.5 * (cfg.size - 1)) * cfg.spacing
-        self._offsets = torch.cartesian_prod(axis, axis)  # [P, 2] m forward and left
-        self._half_tile = 0.5 * torch.tensor([tiles.length, tiles.width], device=device)  # [2] m
-        self._to_centre = self._half_tile * torch.tensor([1.0, 0.0], device=device)  # [2] m from the tile's start
+        self._offsets = torch.cartesian_prod(axis, axis).T.contiguous()  # [2, P] m forward and left
+        corners = [[0.0, -0.5 * tiles.width], [tiles.length, 0.5 * tiles.width]]
+        self._low, self._high = torch.tensor(corners, device=device)[..., None, None]  # [2, 1, 1] m from a tile's start
         self._scanned: Tensor | None = None  # the root's place when the scan was made, new at every refresh
         self._described: Tensor | None = None
 
@@ -71,20 +71,25 @@ class GroundPatch:
         """The plane that lies closest to the valid points, [N]."""
         self._scan()
         if self._described is not self._scanned:
-            points = torch.cat((self._offsets.expand(len(self._valid), -1, -1), self._heights_w.unsqueeze(-1)), dim=-1)
-            self._descriptor = terrain_descriptor(points, self._valid, self.cfg.dead_band)
+            places = self._offsets.expand(len(self._valid), -1, -1)
+            points = torch.cat((places, self._heights_w.unsqueeze(1)), dim=1)  # [N, 3, P]: what is summed lies together
+            self._descriptor = terrain_descriptor(points.mT, self._valid, self.cfg.dead_band)
             self._described = self._scanned
         return self._descriptor
 
     def _scan(self) -> None:
-        root, heading = self._signals.root_pos_w, self._signals.heading_w
+        root, heading = self._signals.root_pos_w, self._signals.heading_w[:, None]
         if self._scanned is root:
             return
+        x, y = root[:, 0:1], root[:, 1:2]
         cos, sin = heading.cos(), heading.sin()
-        axes = torch.stack((cos, sin, -sin, cos), dim=1).view(-1, 2, 2)  # forward and left, world frame
-        centre = (self._tiles.origin_w[:, :2] + self._to_centre).unsqueeze(1)
-        places = (root[:, :2].unsqueeze(1) - centre) + self._offsets @ axes  # [N, P, 2] from the tile's centre
-        nearest = places.clamp(-self._half_tile, self._half_tile)
-        self._valid = (places == nearest).all(dim=-1)
-        self._heights_w = self._terrain.height(nearest + centre)
+        forward, left = self._offsets
+        x = torch.addcmul(x + cos * forward, sin, left, value=-1.0)
+        y = torch.addcmul(y + sin * forward, cos, left)
+        places = torch.stack((x, y))  # [2, N, P]
+        start = self._tiles.origin_w.T[:2, :, None]  # [2, N, 1]
+        nearest = torch.minimum(torch.maximum(places, start + self._low), start + self._high)
+        own_x, own_y = places == nearest
+        self._valid = own_x & own_y
+        self._heights_w = self._terrain.height(nearest.movedim(0, -1))
         self._scanned = root

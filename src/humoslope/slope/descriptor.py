@@ -47,12 +47,13 @@ def terrain_descriptor(points: Tensor, valid: Tensor, dead_band: float) -> Descr
         valid: [..., P] bool; what the other points hold does not matter, not even NaN.
         dead_band: Slope up to which the ground counts as level, rad.
     """
-    here = valid.unsqueeze(-1)
-    known = torch.where(here, points, 0.0)
-    centre = known.sum(dim=-2, keepdim=True) / valid.sum(dim=-1).clamp(min=1)[..., None, None]
+    here = valid.unsqueeze(-2)
+    known = torch.where(here, points.mT, 0.0)  # [..., 3, P]
+    weight = here.to(points.dtype)
+    centre = known.sum(dim=-1, keepdim=True) / weight.sum(dim=-1, keepdim=True).clamp(min=1.0)
     # Squared only after the mean is off: ground at 100 m would leave nothing of a float32's digits.
-    centred = torch.where(here, known - centre, 0.0)
-    normal, found = _least_direction(centred.mT @ centred)
+    centred = torch.addcmul(known, weight, centre, value=-1.0)
+    normal, found = _least_direction(centred @ centred.mT)
     level = torch.zeros_like(normal)
     level[..., 2] = 1.0
     normal = torch.where(found.unsqueeze(-1), normal, level)
