@@ -161,8 +161,9 @@ def _named(element: Any, kind: str, name: str, known: Iterable[Any]) -> Any:
 def _add_drives(spec: mujoco.MjSpec, contract: Contract) -> None:
     """Position actuators from the contract's gains and limits, in its order.
 
-    Their force is the contract's torque. MuJoCo's integrator takes the damping implicitly, at the end of a step.
-    Torques computed outside, at its start, walk as well, but after a second joints are up to 0.2 rad elsewhere.
+    Their force is the contract's torque. MuJoCo's integrator takes the damping implicitly, at the end of a step, as it
+    did in training; at 5 ms that brakes a little. With torques computed outside, at the start of a step, or with a
+    finer step the shipped Stage I walks at 0.6 instead of 0.48 m/s.
     """
     for joint in contract.joints:
         _named(spec.joint(joint.name), "joint", joint.name, spec.joints).armature = joint.armature_kg_m2
