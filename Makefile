@@ -3,11 +3,11 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 RESULTS ?= experiments/results/heldout
-ROLLOUT ?= experiments/rollouts/stage1_up30.npz
+ROLLOUT ?= experiments/rollouts/stage1_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve record replay video \
+.PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve record replay video meshes \
   export play terrain list bench test lint types check format clean
 
 help: ## List these verbs
@@ -64,6 +64,9 @@ export: $(STAMP) ## Export CHECKPOINT: ONNX, a contract, and Unitree's deploy.ya
 
 play: $(STAMP) ## Walk with the export in DIR by the arrow keys; ARGS="--headless --trials 64" counts falls
 	$(BIN)/humoslope play $(call need,DIR,logs/.../model_1000.export) $(ARGS)
+
+meshes: $(STAMP) ## Fetch the robot's real meshes, for ARGS=--meshes of replay and video
+	$(BIN)/humoslope meshes $(ARGS)
 
 terrain: $(STAMP) ## Draw the terrain NAME to a PNG
 	$(BIN)/humoslope terrain $(call need,NAME,ramp-up) $(ARGS)

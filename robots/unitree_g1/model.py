@@ -14,6 +14,7 @@ import mujoco
 
 from humoslope.scene.robot import Robot
 from humoslope.scene.sensors import add_robot_sensors
+from robots.unitree_g1.meshes import G1_MESHES
 
 URDF = Path(__file__).with_name("g1.urdf")
 SIDES = ("left", "right")
@@ -177,6 +178,7 @@ UNITREE_G1 = Robot(
     name="unitree_g1",
     make_spec=make_spec,
     urdf=URDF,
+    meshes=G1_MESHES,
     root_body="pelvis",
     torso_body="torso_link",
     imu_site="imu_in_pelvis",

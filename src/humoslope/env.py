@@ -161,9 +161,12 @@ class ManagerBasedRlEnv:
         self.actions.process(action)
         self.sim.step(self.cfg.sim.decimation, active)
         self.diverged = broken = self.sim.diverged()
-        self._wreck.add(self._qpos, self._qvel, broken)
-        self.signals.refresh(broken)
-        self.episode_length_buf += 1
+        self._wreck.add(self._qpos, self._qvel)
+        whole = self.sim.known_empty(broken)
+        if not whole:
+            self._wreck.keep(broken)
+        self.signals.refresh(None if whole else broken)
+        self.episode_length_buf = self.episode_length_buf + 1  # the log keeps the old one
 
         done = self.terminations.compute() | broken
         terminated, time_outs = self.terminations.terminated | broken, self.terminations.time_outs & ~broken

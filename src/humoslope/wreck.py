@@ -21,12 +21,15 @@ class WreckRecorder:
         self._states = torch.zeros(STEPS, size, device=qpos.device)
         self._kept = torch.zeros((), dtype=torch.bool, device=qpos.device)
 
-    def add(self, qpos: Tensor, qvel: Tensor, broken: Tensor) -> None:
-        """Takes the states of a control step, and keeps the last ones of the first world in `broken` [N], if any."""
+    def add(self, qpos: Tensor, qvel: Tensor) -> None:
+        """Takes the states of a control step."""
         newest = self._ring[self._steps % STEPS]
         newest[:, : self._nq].copy_(qpos)
         newest[:, self._nq :].copy_(qvel)
         self._steps += 1
+
+    def keep(self, broken: Tensor) -> None:
+        """Keeps the last states of the first world in `broken` [N], if any."""
         first = broken.to(torch.uint8).argmax(dim=0, keepdim=True)
         states = self._ring.index_select(1, first).squeeze(1).roll(-(self._steps % STEPS), 0)  # oldest first
         fresh = broken.any() & ~self._kept

@@ -1,4 +1,4 @@
-"""`humoslope evaluate`: table and files, several checkpoints, the sweep, going on after an interruption, and mistakes."""
+"""`humoslope evaluate`: table and files, several checkpoints, the sweep, interruptions, and mistakes."""
 
 from __future__ import annotations
 
@@ -108,6 +108,15 @@ def test_an_interrupted_evaluation_says_that_it_is_partial_and_goes_on_to_the_sa
     assert figures(rest) == figures(whole)
 
 
+def test_an_evaluation_that_is_stopped_at_once_leaves_a_partial_result_of_nothing(
+    evaluate: Callable[..., tuple[dict[str, Any], str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Progress, "step", lambda self, worlds: signal.raise_signal(signal.SIGINT))
+    report, printed = evaluate(code=130)
+    assert (report["partial"], report["finished"], report["cells"]) == (True, 0, [])
+    assert "Partial: 0 of 4 trials" in printed
+
+
 def test_checkpoints_of_one_method_are_pooled(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = torch.load(path, weights_only=True)
     other["iter"] = 5
@@ -141,7 +150,7 @@ def test_a_sweep_says_how_steep_a_track_is_mastered(path: Path, capsys: pytest.C
         (("--trials", "0"), "trials is 0"),
         (("--timestep", "0.003"), "does not divide"),
         (("--course", "held-out-trak"), "did you mean 'held-out-track'"),
-        (("--out", "/proc/none/here"), "cannot write"),
+        (("--out", f"{__file__}/out"), "is no folder one can write to"),
     ],
 )
 def test_an_impossible_option_is_said_in_one_sentence(
@@ -153,3 +162,7 @@ def test_an_impossible_option_is_said_in_one_sentence(
 def test_what_is_no_checkpoint_is_said_in_one_sentence(mistake: Callable[..., str], tmp_path: Path) -> None:
     assert "needs a checkpoint" in mistake("evaluate")
     assert "does not exist" in mistake("evaluate", str(tmp_path / "missing.pt"))
+
+
+def test_a_checkpoint_that_is_given_twice_is_refused(mistake: Callable[..., str], untrained: Path) -> None:
+    assert "is given twice" in mistake("evaluate", str(untrained), str(untrained))

@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -111,3 +112,32 @@ def test_without_a_display_replay_says_how_else_to_look(
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr("sys.platform", "linux")
     assert "there is no display" in mistake("replay", str(walked))
+
+
+def test_web_tells_the_address_and_serves_until_it_is_interrupted(
+    walked: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupted:
+        def wait(self) -> None:
+            raise KeyboardInterrupt
+
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("humoslope.cli.replay.threading.Event", Interrupted)
+    monkeypatch.setattr("humoslope.cli.replay.served", lambda path, web, port: nullcontext(f"http://{web}/{port}"))
+    assert main(["replay", str(walked), "--web", "--web-port", "9191", "--port", "9192"]) == 130
+    assert capsys.readouterr().out == "http://9191/9192\nCtrl-C ends it.\n"
+
+
+def test_meshes_are_asked_for_by_the_name_of_a_robot(
+    mistake: Callable[..., str], walked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "robot with meshes 'unitree_g2' does not exist; did you mean 'unitree_g1'?" in mistake(
+        "meshes", "unitree_g2"
+    )
+    assert "`humoslope meshes` fetches them" in mistake("replay", str(walked), "--meshes", "--save", "walk.rrd")
+    fetched = []
+    monkeypatch.setattr("humoslope.cli.meshes.fetch_meshes", lambda name, source: fetched.append(name) or Path("."))
+    assert main(["meshes"]) == 0
+    assert fetched == ["unitree_g1"]

@@ -163,12 +163,12 @@ def test_a_carriage_at_half_a_metre_per_second_always_arrives_and_in_the_right_t
 
 
 def test_a_carriage_that_stops_on_the_way_is_timed_out_where_it_stands() -> None:
-    protocol = dataclasses.replace(FULL, grades=(20.0,), tiers=(0.3,))
+    protocol = dataclasses.replace(FULL, grades=(20.0,), tiers=(0.3,), timeout_s=20.0)
     env, relay = build(protocol, change=slower)
     put_on_rails(env, 1.0, until=12.0)
     trials = walk(env, standing, relay)
     assert trials.timed_out.all()
-    assert trials.seconds == pytest.approx(140.0)
+    assert trials.seconds == pytest.approx(20.0)
     assert trials.max_place == pytest.approx(12.1, abs=0.11)
 
 
@@ -198,7 +198,7 @@ def test_an_interrupted_evaluation_goes_on_to_the_same_figures(whole: HeldOutTri
     env, relay = build(TINY, lanes=2)
     with pytest.raises(KeyboardInterrupt):
         walk(env, stumbling, relay, interrupt)
-    saved.save(tmp_path / "part.npz", relay.trials(), "mark")
+    saved.save(tmp_path / "part.npz", relay.trials(), "mark", TINY)
     earlier = saved.load(tmp_path / "part.npz", "mark", TINY)
     assert earlier is not None
     assert 0 < earlier.finished.sum() < TINY.num_trials
@@ -215,7 +215,7 @@ def test_a_first_look_is_the_beginning_of_the_full_evaluation(whole: HeldOutTria
     env, relay = build(look, lanes=2)
     first = walk(env, stumbling, relay)
     assert_same(first, whole[np.arange(6) % 3 < 2])
-    saved.save(tmp_path / "look.npz", first, "mark")
+    saved.save(tmp_path / "look.npz", first, "mark", look)
     earlier = saved.load(tmp_path / "look.npz", "mark", TINY)
     assert earlier is not None
     assert earlier.finished.tolist() == [True, True, False] * 2
@@ -276,13 +276,25 @@ def test_a_world_that_diverges_has_fallen_and_its_garbage_is_not_measured() -> N
 def test_saved_trials_of_anything_else_are_not_used(whole: HeldOutTrials, tmp_path) -> None:
     path = tmp_path / "trials.npz"
     assert saved.load(path, "mark", TINY) is None
-    saved.save(path, whole, "mark")
+    saved.save(path, whole, "mark", TINY)
     kept = saved.load(path, "mark", TINY)
     assert kept is not None
     assert_same(kept, whole)
     assert saved.load(path, "another", TINY) is None
     path.write_bytes(path.read_bytes()[:100])
     assert saved.load(path, "mark", TINY) is None
+
+
+def test_a_later_look_with_fewer_trials_does_not_lose_the_others(whole: HeldOutTrials, tmp_path) -> None:
+    path, look = tmp_path / "trials.npz", dataclasses.replace(TINY, trials=1)
+    saved.save(path, whole, "mark", TINY)
+    first = saved.load(path, "mark", look)
+    assert first is not None
+    assert_same(first, whole[[0, 3]])
+    saved.save(path, first, "mark", look)
+    kept = saved.load(path, "mark", TINY)
+    assert kept is not None
+    assert_same(kept, whole)
 
 
 def test_the_fingerprint_knows_protocol_checkpoint_and_lanes_but_not_how_many_trials() -> None:

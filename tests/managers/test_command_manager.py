@@ -119,6 +119,17 @@ def test_steering_follows_the_heading_between_two_draws(make_commands):
     torch.testing.assert_close(commands.velocity[:, 2], torch.full((N,), -0.2))
 
 
+def test_nothing_is_drawn_where_every_command_is_known_to_hold_and_steering_goes_on(make_commands):
+    commands = make_commands(STEERED)
+    commands._env.sim = SimpleNamespace(known_empty=lambda mask: not mask.any())
+    commands._env.signals.heading_w = torch.full((N,), 0.4)
+    linear, random = commands.velocity[:, :2], torch.get_rng_state()
+    commands.step(0.02)
+    assert torch.get_rng_state().equal(random)
+    assert commands.velocity[:, :2].equal(linear)
+    torch.testing.assert_close(commands.velocity[:, 2], torch.full((N,), -0.2))
+
+
 @pytest.mark.parametrize("name", ["speed", "lateral", "yaw_rate", "resample_s"])
 def test_a_range_the_wrong_way_round_is_named(make_commands, name):
     with pytest.raises(UserError, match=rf"command: {name} \(2, 1\) must be \(lowest, highest\)"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 
@@ -52,6 +54,14 @@ def test_interval_events_strike_each_world_within_their_interval_and_again_and_a
         assert len(gaps) >= 4
     first = struck.to(torch.int8).argmax(dim=0)
     assert first.unique().numel() > 10  # not all worlds at once
+
+
+def test_interval_events_are_not_called_where_nobody_is_known_to_be_due(make_env):
+    env = make_env(1, struck=[], sim=SimpleNamespace(known_empty=lambda mask: not mask.any()))
+    events = EventManager(env, Terms(push=event("push", mode="interval", interval_s=(0.5, 0.5))))
+    for _ in range(110):
+        events.step(0.0102)
+    assert [struck.tolist() for _, struck in env.struck] == [[True]] * 2
 
 
 def test_stateful_events_are_reset_with_the_worlds_and_can_be_had_by_name(env, mask):

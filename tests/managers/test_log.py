@@ -47,7 +47,7 @@ def test_a_flush_starts_anew(log):
     assert log.flush() == {"speed": 5.0}
 
 
-@given(seed=st.integers(0, 2**32 - 1), additions=st.integers(1, 5))
+@given(seed=st.integers(0, 2**32 - 1), additions=st.integers(1, 80))
 def test_the_mean_is_numpys_mean_of_what_the_masks_let_through(seed, additions):
     log, rng, seen = Log(torch.device("cpu")), np.random.default_rng(seed), []
     for _ in range(additions):

@@ -25,7 +25,7 @@ def state(num_envs=2, com=(0.0, 0.0, HEIGHT), velocity=(0.0, 0.0, 0.0), normal=(
         com_lin_vel_w=torch.tensor([velocity]).repeat(num_envs, 1),
         foot_pos_w=torch.tensor([[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]]).repeat(num_envs, 1, 1),
         foot_normal_w=torch.tensor([normal, normal]).repeat(num_envs, 1, 1),
-        foot_force_w=torch.tensor([0.0, 0.0, force]).repeat(num_envs, 2, 1),
+        foot_force=torch.full((num_envs, 2), force),
     )
 
 

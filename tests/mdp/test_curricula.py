@@ -59,6 +59,16 @@ def start(env, level):
 EVERYWHERE = torch.ones(N, dtype=torch.bool)
 
 
+def test_what_is_asked_adds_up_in_steps_in_which_nobody_is_known_to_end(env):
+    env.sim = SimpleNamespace(known_empty=lambda mask: not mask.any())
+    term = TerrainLevels(env)
+    start(env, 2)
+    walk(env, term, 2.0, 4.0)
+    term(env, ~EVERYWHERE)
+    walk(env, term, 2.0, 4.0)
+    assert (term(env, EVERYWHERE) == 1).all()  # 2 m of 8, not of 4
+
+
 @pytest.mark.parametrize(
     ("covered", "asked", "level"),
     [

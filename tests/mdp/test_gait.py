@@ -70,7 +70,7 @@ def walking(k, slope, speed=0.5, apart=0.1, air=15, vel=1.0, drive=None):
         joint_pos=pos[None],
         joint_vel=torch.full((1, len(NAMES)), vel),
         joint_torque=drive * joints(hip_pitch=20.0, knee=20.0)[None],
-        foot_force_w=torch.stack([torch.zeros(1, 2), torch.zeros(1, 2), force], dim=2),
+        foot_force=force,
         foot_contact=force > 1.0,
         foot_pos_w=torch.tensor([[[apart, 0.1, 0.0], [0.0, -0.1, 0.0]]]),
         along_ground=lambda v: v,
@@ -211,7 +211,7 @@ def test_hops_and_running_steps_have_no_length(env):
     term, slope = term_of(env, "stride")
     for k in range(100):
         signals = walking(k, slope)
-        signals.foot_force_w = torch.full((1, 2, 3), WEIGHT if k % 20 < 5 else 0.0)
+        signals.foot_force = torch.full((1, 2), WEIGHT if k % 20 < 5 else 0.0)
         env.signals = signals
         assert term(env).item() == 0.0
 
@@ -221,7 +221,7 @@ def test_chatter_of_a_standing_foot_is_no_touchdown(env):
     values(env, term, slope, 100, apart=0.6)
     for k in range(40):  # now close together, one foot losing contact for three steps at a time
         signals = walking(0, slope, apart=0.0)
-        signals.foot_force_w[0, 0, 2] = 0.0 if k % 6 < 3 else WEIGHT
+        signals.foot_force[0, 0] = 0.0 if k % 6 < 3 else WEIGHT
         env.signals = signals
         assert term(env).item() < 0.01
 
@@ -236,7 +236,7 @@ def test_a_foot_held_up_and_a_foot_in_the_air_with_the_other_are_no_swing(env):
     assert stork[31:].max() == 0.0  # and not after 0.6 s
     values(env, term, slope, 3)
     flying = walking(5, slope)
-    flying.foot_force_w = torch.zeros(1, 2, 3)
+    flying.foot_force = torch.zeros(1, 2)
     flight = torch.tensor([term(env).item() for env.signals in [flying] * 50])
     assert flight.max() == 0.0
 

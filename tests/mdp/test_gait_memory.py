@@ -22,7 +22,7 @@ def swings(make_env: Callable[..., SimpleNamespace], force: Tensor) -> Tensor:
     swing = Swing(env, SWING_FORCE, SWING_SETTLE, SWING_LONGEST)
     found = []
     for now in force:
-        env.signals.foot_force_w = torch.stack([torch.zeros(2), torch.zeros(2), now], dim=1)[None]
+        env.signals.foot_force = now[None]
         found.append(swing.step(env)[0])
     return torch.stack(found)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +47,10 @@ def test_the_tasks_numbers_arrive(contract: Contract) -> None:
 
 
 def test_a_contract_comes_back_from_its_text_unchanged(contract: Contract, tmp_path: Path) -> None:
-    (tmp_path / contracts.FILE).write_text(contract.to_json())
-    assert contracts.read(tmp_path) == contract
+    second_stage = replace(contract, training=replace(contract.training, started_from=contract.training))
+    for written in (contract, second_stage):
+        (tmp_path / contracts.FILE).write_text(written.to_json())
+        assert contracts.read(tmp_path) == written
 
 
 def test_every_observation_is_described_for_who_has_not_this_code(exported: Path) -> None:

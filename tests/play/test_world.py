@@ -80,6 +80,15 @@ def test_what_is_measured_is_a_physics_step_older_than_the_state(make_player: Ca
     np.testing.assert_array_equal(world.data.qpos, copy.qpos)
 
 
+def test_a_control_step_of_one_physics_step_is_measured_before_it(exported: Path, contract: Contract) -> None:
+    timing = replace(contract.timing, control_step_s=0.005)
+    world = World(exported, replace(contract, timing=timing), 0.0, 0.8, 20.0)
+    before = world.data.qvel[6:].copy()
+    world.step(np.zeros(29))
+    np.testing.assert_array_equal(world.measured(np.zeros(3), np.zeros(29)).joint_vel, before)
+    assert world.data.time == 0.005
+
+
 def test_a_gyroscope_in_the_root_would_measure_the_same(make_player: Callable[..., Player]) -> None:
     world = make_player().world
     world.data.qpos[3:7] = np.array([0.8, 0.2, -0.4, 0.4])
@@ -145,6 +154,8 @@ def test_a_model_that_does_not_fit_the_contract_is_said(spoil: Callable[..., Pat
     assert "geom 'left_foot1_collision' does not exist" in said()
     model.write_text(text.replace('<joint name="floating_base" type="free"/>', ""))
     assert "body 'pelvis' has no free joint" in said()
+    model.write_text(text.replace('name="floating_base"', ""))  # it needs no name
+    World(folder, contract, 0.0, 0.8, 20.0)
     model.write_text(text[:1000])
     assert "model.xml' is no MuJoCo model: " in said()
     model.write_text(text)

@@ -8,19 +8,19 @@ from typing import Any
 
 import pytest
 import torch
-from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
 from humoslope.errors import UserError
 from humoslope.rl import checkpoint
+from humoslope.rl.network import Network
 from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
 
 INPUTS, JOINTS = 12, 5
 
 
-def network(hidden: tuple[int, ...], normalized: bool) -> MLPModel:
+def network(hidden: tuple[int, ...], normalized: bool) -> Network:
     torch.manual_seed(0)
-    return MLPModel(
+    return Network(
         observations(1),
         {"actor": ["actor"]},
         "actor",
@@ -43,7 +43,7 @@ def environment(inputs: int = INPUTS, joints: int = JOINTS) -> Any:
     return SimpleNamespace(device=torch.device("cpu"), robot=robot, get_observations=lambda: obs)
 
 
-def save(path: Path, model: MLPModel, **changes: Any) -> Path:
+def save(path: Path, model: Network, **changes: Any) -> Path:
     state = {
         "actor_state_dict": model.state_dict(),
         "task": "Walk",

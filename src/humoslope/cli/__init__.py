@@ -21,6 +21,7 @@ VERBS = {
     "record": "Let a checkpoint walk once and keep the walk in a file.",
     "replay": "Show a recorded walk in rerun.",
     "video": "Make a video and a contact sheet of a recorded walk.",
+    "meshes": "Fetch the real meshes of a robot, for replay and video.",
     "export": "Export a checkpoint to ONNX and a contract.",
     "play": "Walk with an exported policy in plain MuJoCo.",
     "bench": "Measure speed and memory.",

@@ -78,6 +78,9 @@ def run(arguments: list[str]) -> None:
         raise UserError(f"evaluate: lanes is {options.lanes}; each cell needs at least 1.")
     options.protocol.find_course()
     sources = [read_provenance(find_checkpoint(path)) for path in options.checkpoints]
+    for i, source in enumerate(sources):
+        if source.sha256 in (other.sha256 for other in sources[:i]):
+            raise UserError(f"evaluate: checkpoint '{source.path}' is given twice; its trials would count twice.")
     out = options.out or sources[0].path.with_suffix(".sweep" if options.sweep else ".heldout")
     check_place(_beside(out, ".json"))
 
@@ -106,11 +109,11 @@ class _Evaluation:
 
     def __init__(self, source: Provenance, options: Options, out: Path, console: Console) -> None:
         self.source, self.protocol, self._console = source, options.protocol, console
-        self._path = _beside(out, f".{source.sha256[:8]}.npz")
         course = options.protocol.find_course()
         relay = Relay(options.protocol, course, options.lanes)
         cfg = held_out_env_cfg(build_task(source.task).env, relay)
         self._mark = saved.fingerprint(cfg, relay, source.sha256)
+        self._path = _beside(out, f".{self._mark[:8]}.npz")
         if not options.fresh:
             relay.earlier = saved.load(self._path, self._mark, options.protocol)
         self.env = ManagerBasedRlEnv(cfg)
@@ -141,7 +144,7 @@ class _Evaluation:
                 live.update(picture())
             if now - written > SAVE_S:
                 written = now
-                saved.save(self._path, relay.trials(), self._mark)
+                saved.save(self._path, relay.trials(), self._mark, protocol)
 
         with Live(picture(), console=self._console, auto_refresh=False, transient=True) as live:
             try:
@@ -150,7 +153,7 @@ class _Evaluation:
                 pass
             finally:
                 self.trials = relay.trials()
-                saved.save(self._path, self.trials, self._mark)
+                saved.save(self._path, self.trials, self._mark, protocol)
         self.seconds = time.monotonic() - started
         return bool(self.trials.finished.all())
 
@@ -182,11 +185,12 @@ def _conclude(
     if partial:
         console.print(
             f"[yellow]Partial: {walked} of {wanted} trials. Failures end sooner than successes, so the rates are too "
-            "low; the same command goes on.[/yellow]"
+            "low; the same command goes on.[/yellow]",
+            soft_wrap=True,
         )
     limit = None if partial or not options.sweep else _limit(trials, protocol)
     if limit is not None:
-        console.print(_say(limit, protocol))
+        console.print(_say(limit, protocol), soft_wrap=True)
     for evaluation in evaluations:
         console.print(evaluation.source.training, soft_wrap=True, highlight=False)
         warn(console, evaluation.env.sim.warnings())

@@ -11,9 +11,10 @@ from pathlib import Path
 import tyro
 
 from humoslope.files import check_place
+from humoslope.replay.meshes import load_meshes
 from humoslope.replay.rollout import load_rollout
 from humoslope.replay.rrd import write_rrd
-from humoslope.replay.viewer import open_window, served
+from humoslope.replay.viewer import has_display, open_window, served
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Options:
         web: Shows it in a browser on this machine instead of a window.
         web_port: Of the page.
         port: Of the recording that the page fetches.
+        meshes: Draws the robot with the meshes that `humoslope meshes` has fetched.
     """
 
     rollout: tyro.conf.Positional[Path]
@@ -35,6 +37,7 @@ class Options:
     web: bool = False
     web_port: int = 9090
     port: int = 9877
+    meshes: bool = False
 
 
 def run(arguments: list[str]) -> None:
@@ -43,17 +46,19 @@ def run(arguments: list[str]) -> None:
     if options.save is not None:
         check_place(options.save)
     rollouts = [load_rollout(path) for path in (options.rollout, options.other) if path is not None]
+    meshes = load_meshes(rollouts[0].header["robot"]["name"]) if options.meshes else None
     if options.save is not None:
-        write_rrd(rollouts, options.save)
+        write_rrd(rollouts, options.save, meshes)
         print(f"wrote {options.save} ({options.save.stat().st_size / 1e6:.1f} MB)")
         return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{options.rollout.stem}.rrd"
-        write_rrd(rollouts, path)
+        write_rrd(rollouts, path, meshes)
         if not options.web:
             open_window(path)
             return
         with served(path, options.web_port, options.port) as address:
             print(f"{address}\nCtrl-C ends it.", flush=True)
-            webbrowser.open(address)
+            if has_display():  # otherwise Python would open a browser in the terminal
+                webbrowser.open(address)
             threading.Event().wait()

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -27,7 +26,7 @@ from humoslope.evaluation import streams
 from humoslope.evaluation.metrics import StepSample, TrackRecorder, TrackTrials
 from humoslope.evaluation.physics import measuring_physics
 from humoslope.evaluation.protocol import HeldOutProtocol
-from humoslope.evaluation.records import each
+from humoslope.evaluation.records import chosen, each
 from humoslope.evaluation.referee import OUTCOMES, Referee, Situation
 from humoslope.evaluation.statistics import Array
 from humoslope.managers import EventTerm, RewardTerm, TerminationTerm, Terms, VelocityCommand
@@ -186,7 +185,7 @@ class Relay:
         if self.earlier is None:
             return walked
         before = self.earlier.finished
-        return each(partial(_kept, before), self.earlier, walked)
+        return each(partial(chosen, before), self.earlier, walked)
 
     def progress(self) -> float:
         """Share of all trials that is done, in [0, 1]; a trial on its way counts by its place. Waits for the device."""
@@ -258,8 +257,3 @@ def walk(
             env.step(policy(env.get_observations()), running)
             on_step(running)
     return relay.trials()
-
-
-def _kept(mask: Bools, old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
-    """`old` [T, ...] where `mask` [T] holds, `new` elsewhere."""
-    return np.where(mask.reshape(-1, *(1,) * (old.ndim - 1)), old, new)

@@ -7,11 +7,12 @@ from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 R = TypeVar("R")
 
 
-def each(function: Callable[..., np.ndarray], *records: R) -> R:
+def each(function: Callable[..., NDArray[Any]], *records: R) -> R:
     """A record whose every array is `function` of those arrays of `records`, which are of one kind."""
     first: Any = records[0]
     values = {}
@@ -21,9 +22,14 @@ def each(function: Callable[..., np.ndarray], *records: R) -> R:
     return type(first)(**values)
 
 
-def to_arrays(record: Any, prefix: str = "") -> dict[str, np.ndarray]:
+def chosen(mask: NDArray[np.bool_], first: NDArray[Any], second: NDArray[Any]) -> NDArray[Any]:
+    """`first` [T, ...] where `mask` [T] holds, `second` elsewhere."""
+    return np.where(mask.reshape(-1, *(1,) * (first.ndim - 1)), first, second)
+
+
+def to_arrays(record: Any, prefix: str = "") -> dict[str, NDArray[Any]]:
     """The arrays by name; those of a record within have its field's name and a dot in front."""
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     for field in fields(record):
         value = getattr(record, field.name)
         inner = to_arrays(value, f"{prefix}{field.name}.") if is_dataclass(value) else {prefix + field.name: value}
@@ -31,7 +37,7 @@ def to_arrays(record: Any, prefix: str = "") -> dict[str, np.ndarray]:
     return arrays
 
 
-def from_arrays(kind: type[R], arrays: dict[str, np.ndarray], inner: dict[str, type[Any]]) -> R:
+def from_arrays(kind: type[R], arrays: dict[str, NDArray[Any]], inner: dict[str, type[Any]]) -> R:
     """The record of `kind` that `to_arrays` was given.
 
     Args:

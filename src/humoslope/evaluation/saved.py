@@ -5,19 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from humoslope.env import EnvCfg
 from humoslope.evaluation.heldout import HeldOutTrials, Relay
 from humoslope.evaluation.metrics import TrackTrials
 from humoslope.evaluation.protocol import HeldOutProtocol
-from humoslope.evaluation.records import each, from_arrays, to_arrays
+from humoslope.evaluation.records import chosen, each, from_arrays, to_arrays
 from humoslope.files import write_atomically
 from humoslope.rl.rundir import plain
 
@@ -45,8 +47,16 @@ def fingerprint(cfg: EnvCfg, relay: Relay, sha256: str) -> str:
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
 
 
-def save(path: Path, trials: HeldOutTrials, mark: str) -> None:
-    """Writes the trials and the fingerprint they belong to in one step."""
+def save(path: Path, trials: HeldOutTrials, mark: str, protocol: HeldOutProtocol) -> None:
+    """Writes the trials of a protocol and the fingerprint they belong to in one step.
+
+    Trials beyond the protocol's that the file holds under the same fingerprint stay in it.
+    """
+    before = _read(path, mark)
+    if before is not None and len(before) > len(trials):
+        larger = replace(protocol, trials=len(before) // protocol.num_cells)
+        padded = each(partial(_resize, protocol=larger), trials)
+        trials = each(partial(chosen, padded.finished), padded, before)
     arrays: dict[str, Any] = {"fingerprint": np.array(mark), **to_arrays(trials)}
     write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
 
@@ -56,18 +66,22 @@ def load(path: Path, mark: str, protocol: HeldOutProtocol) -> HeldOutTrials | No
 
     None if there is no such file, or it belongs to something else.
     """
+    trials = _read(path, mark)
+    return None if trials is None else each(partial(_resize, protocol=protocol), trials)
+
+
+def _read(path: Path, mark: str) -> HeldOutTrials | None:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
         if str(arrays.pop("fingerprint")) != mark:
             return None
-        trials = from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials})
+        return from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials})
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
-    return each(lambda values: _resize(values, protocol), trials)
 
 
-def _resize(values: np.ndarray, protocol: HeldOutProtocol) -> np.ndarray:
+def _resize(values: NDArray[Any], protocol: HeldOutProtocol) -> NDArray[Any]:
     """Results [T, ...] for as many trials in each cell as the protocol has; those there are not yet are all zero."""
     cells = values.reshape(protocol.num_cells, -1, *values.shape[1:])
     kept = cells[:, : protocol.trials]

@@ -64,6 +64,8 @@ class CommandManager:
         self._steers = env.zeros(dtype=torch.bool)  # [N]
         self._stands = env.zeros(dtype=torch.bool)  # [N]
         self._time_left = env.zeros()  # [N] s
+        ranges = torch.tensor([cfg.speed, cfg.lateral, cfg.yaw_rate, cfg.resample_s], device=env.device)
+        self._low, self._high = ranges.unbind(dim=1)  # [4]
 
     @property
     def moving(self) -> Tensor:
@@ -72,20 +74,27 @@ class CommandManager:
 
     def reset(self, mask: Tensor) -> None:
         """Draws new commands for the worlds in `mask`."""
-        cfg, uniform = self.cfg, self._env.uniform
-        drawn = torch.stack([uniform(*cfg.speed), uniform(*cfg.lateral)], dim=1)
-        stands = uniform(0.0, 1.0) < cfg.standing_share
-        self._stands = torch.where(mask, stands, self._stands)
-        self._steers = torch.where(mask, uniform(0.0, 1.0) < cfg.heading_share, self._steers)
-        self._yaw_rate = torch.where(mask, uniform(*cfg.yaw_rate), self._yaw_rate)
-        self._time_left = torch.where(mask, uniform(*cfg.resample_s), self._time_left)
-        linear = torch.where(mask[:, None], drawn, self.velocity[:, :2]).masked_fill(self._stands[:, None], 0.0)
-        self.velocity = torch.cat([linear, self._turn()[:, None]], dim=1)
+        self._steer(self._draw(mask))
 
     def step(self, dt: float) -> None:
         """Lets `dt` seconds pass: commands whose time is over are drawn again, the others steer on."""
         self._time_left = self._time_left - dt
-        self.reset(self._time_left <= 0.0)
+        over = self._time_left <= 0.0
+        self._steer(self.velocity[:, :2] if self._env.sim.known_empty(over) else self._draw(over))
+
+    def _draw(self, mask: Tensor) -> Tensor:
+        """New linear velocities [N, 2] for the worlds in `mask`, among those of the others."""
+        random = torch.rand(self._env.num_envs, 6, device=self._env.device)
+        drawn = torch.lerp(self._low, self._high, random[:, :4])  # [N, 4]
+        self._stands = torch.where(mask, random[:, 4] < self.cfg.standing_share, self._stands)
+        self._steers = torch.where(mask, random[:, 5] < self.cfg.heading_share, self._steers)
+        self._yaw_rate = torch.where(mask, drawn[:, 2], self._yaw_rate)
+        self._time_left = torch.where(mask, drawn[:, 3], self._time_left)
+        linear = torch.where(mask[:, None], drawn[:, :2], self.velocity[:, :2])
+        return linear.masked_fill(self._stands[:, None], 0.0)
+
+    def _steer(self, linear: Tensor) -> None:
+        self.velocity = torch.cat([linear, self._turn()[:, None]], dim=1)
 
     def _turn(self) -> Tensor:
         cfg, signals = self.cfg, self._env.signals

@@ -81,6 +81,9 @@ class EventManager:
         for name, call in self._calls["interval"].items():
             left = self._time_left[name] - dt
             due = left <= 0.0
+            if self._env.sim.known_empty(due):
+                self._time_left[name] = left
+                continue
             self._time_left[name] = torch.where(due, self._draw(name), left)
             call(self._env, due)
 

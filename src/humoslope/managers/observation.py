@@ -105,22 +105,32 @@ class _Group:
         self.size = frame * cfg.history
         terms = list(cfg.terms.items())
         self._scale = torch.cat([torch.full((self.widths[n],), t.scale) for n, t in terms]).to(env.device)  # [D]
-        self._noise = torch.cat([torch.full((self.widths[n],), t.noise) for n, t in terms]).to(env.device)  # [D]
-        self._frames = env.zeros(cfg.history, frame)  # [N, H, D], oldest first
-        self._columns = self._term_major(cfg.history).to(env.device)  # [H * D]
+        noise = torch.cat([torch.full((self.widths[n],), t.noise) for n, t in terms]).to(env.device)
+        self._noise = noise * self._scale  # [D]
+        self._history = env.zeros(self.size)  # [N, H * D]
 
     def compute(self, restarted: Tensor) -> Tensor:
         frame = torch.cat([call(self.env) for call in self._calls.values()], dim=1)
-        if self.cfg.corrupt:
-            frame = frame + (2.0 * self.cfg.noise_source(self.env, frame) - 1.0) * self._noise
         frame = frame * self._scale
+        if self.cfg.corrupt:
+            uniform = self.cfg.noise_source(self.env, frame)  # in [0, 1)
+            frame = torch.addcmul(frame - self._noise, uniform, 2.0 * self._noise)
         if self.cfg.history == 1:
             return frame
-        shifted = torch.cat([self._frames[:, 1:], frame[:, None]], dim=1)
-        self._frames = torch.where(restarted[:, None, None], frame[:, None], shifted)
-        return self._frames.flatten(1).index_select(1, self._columns)
+        history = self._shifted(frame)
+        if not self.env.sim.known_empty(restarted):
+            history = torch.where(restarted[:, None], self._filled(frame), history)
+        self._history = history
+        return history
 
-    def _term_major(self, history: int) -> Tensor:
-        """Columns of the flattened [H, D] frames, ordered by term, then age, then component."""
-        index = torch.arange(history * sum(self.widths.values())).view(history, -1)
-        return torch.cat([block.flatten() for block in index.split(list(self.widths.values()), dim=1)])
+    def _shifted(self, frame: Tensor) -> Tensor:
+        """The history with `frame` [N, D] in place of its oldest frame; each term's frames stand together."""
+        widths = list(self.widths.values())
+        past = self._history.split([width * self.cfg.history for width in widths], dim=1)
+        pairs = zip(past, frame.split(widths, dim=1), strict=True)
+        return torch.cat([part for old, new in pairs for part in (old[:, new.shape[1] :], new)], dim=1)
+
+    def _filled(self, frame: Tensor) -> Tensor:
+        """A history of nothing but `frame` [N, D]."""
+        parts = frame.split(list(self.widths.values()), dim=1)
+        return torch.cat([part for part in parts for _ in range(self.cfg.history)], dim=1)

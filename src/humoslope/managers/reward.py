@@ -51,7 +51,7 @@ class RewardManager:
         """The reward [N] of a step of `dt` seconds."""
         values = torch.stack([call(self._env) for call in self._calls], dim=1) * self._weights  # [N, T] per second
         self.last = values
-        self._sums += values * dt
+        self._sums = torch.add(self._sums, values, alpha=dt)
         self._seconds += dt
         return values.sum(dim=1) * dt
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -36,21 +37,20 @@ class TerminationManager:
         self.terminated = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.time_outs = self.terminated.clone()
         self._hits = [self.terminated.clone() for _ in self.names]
+        self._nobody = self.terminated.clone()
 
     def compute(self) -> Tensor:
         """The worlds [N] (bool) whose episode ends now;
         `terminated` are the failures, `time_outs` the others among them."""
         self._hits = [call(self._env) for call in self._calls]
-        none = torch.zeros_like(self.terminated)
-        self.terminated = none.clone()
-        self.time_outs = none
-        for hit, time_out in zip(self._hits, self._time_out, strict=True):
-            if time_out:
-                self.time_outs = self.time_outs | hit
-            else:
-                self.terminated = self.terminated | hit
-        self.time_outs = self.time_outs & ~self.terminated
+        self.terminated = self._any(time_out=False)
+        self.time_outs = self._any(time_out=True) & ~self.terminated
         return self.terminated | self.time_outs
+
+    def _any(self, time_out: bool) -> Tensor:
+        """The worlds [N] that were hit by a term of this sort."""
+        hits = [hit for hit, sort in zip(self._hits, self._time_out, strict=True) if sort == time_out]
+        return functools.reduce(torch.logical_or, hits, self._nobody)
 
     def reset(self, mask: Tensor) -> None:
         """Logs why the worlds in `mask` ended, as shares."""

@@ -65,10 +65,9 @@ class ZmpRegulariser(StatefulTerm):
     def __call__(self, env: Env) -> Tensor:
         signals = env.signals
         raw = self._rate(signals.com_lin_vel_w).clamp(-self._acc_limit, self._acc_limit)
-        self._com_acc = self._smoothing * self._com_acc + (1.0 - self._smoothing) * raw
-        force = signals.foot_force_w.norm(dim=2)  # [N, 2]
-        self.anchor = zmp.support_anchor(signals.foot_pos_w, force, self._epsilon)
-        self.normal = self._plane_normal(env, force)
+        self._com_acc = torch.lerp(raw, self._com_acc, self._smoothing)
+        self.anchor = zmp.support_anchor(signals.foot_pos_w, signals.foot_force, self._epsilon)
+        self.normal = self._plane_normal(env, signals.foot_force)
         self.point, self.valid = zmp.zero_moment_point(
             signals.com_pos_w, self._com_acc, self.anchor, self.normal, self._least_pressure
         )

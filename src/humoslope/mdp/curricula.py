@@ -43,6 +43,8 @@ class TerrainLevels(StatefulTerm):
         tiles = env.tiles
         # Along the tile: a world that is asked to turn away from it is not asked to cover it.
         self._asked = self._asked + env.commands.velocity[:, 0] * env.signals.heading_w.cos() * env.step_dt
+        if env.sim.known_empty(mask):
+            return tiles.level
         end = tiles.length - tiles.spawn_x  # what there is to cover, from the spawn place
         covered = env.signals.root_pos_w[:, 0] - tiles.origin_w[:, 0] - tiles.spawn_x
         rise = covered >= self._up * end

@@ -162,7 +162,7 @@ class KneeBraking(StatefulTerm):
         ground, signals = env.patch.descriptor, env.signals
         braking = bsga.brake_reward(
             signals.joint_pos.index_select(1, self._knee),
-            signals.foot_force_w.norm(dim=2),
+            signals.foot_force,
             self._work.share(env, joint=1),
             bsga.slope_intensity(ground.slope, self._full_slope),
             ground.down,

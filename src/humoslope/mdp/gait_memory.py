@@ -85,7 +85,7 @@ class AirTime:
 
     def step(self, env: Env) -> Tensor:
         """Lets a step pass; which feet carry [N, 2]."""
-        carries = env.signals.foot_force_w.norm(dim=2) >= self._force
+        carries = env.signals.foot_force >= self._force
         self.time = (self.time + env.step_dt).masked_fill(carries, 0.0)
         return carries
 

@@ -40,12 +40,12 @@ class Harness(StatefulTerm):
         wrench = env.sim.state("xfrc_applied")  # [N, bodies, 6]: force, torque; world frame
         self._root = wrench[:, env.body_id(env.robot.root_body)]
         self._torso = wrench[:, env.body_id(env.robot.torso_body)]
-        self._up = torch.tensor([0.0, 0.0, 1.0], device=env.device)
+        self._up = torch.tensor([[0.0, 0.0, 1.0]], device=env.device)
 
     def __call__(self, env: Env, mask: Tensor) -> None:
-        torso_up_w = quaternion.rotate(env.signals.torso_quat_w, self._up.expand(env.num_envs, 3))
-        torque = self._stiffness * torch.linalg.cross(torso_up_w, self._up.expand(env.num_envs, 3))
-        torque = torque - self._damping * env.signals.torso_ang_vel_w
+        torso_up_w = quaternion.matrix(env.signals.torso_quat_w)[:, :, 2]
+        uprighting = self._stiffness * torch.linalg.cross(torso_up_w, self._up)
+        torque = torch.sub(uprighting, env.signals.torso_ang_vel_w, alpha=self._damping)
         self._root[:, 2].copy_(self._lift * self.scale)
         self._torso[:, 3:5].copy_(torque[:, :2] * self.scale)
 
@@ -92,11 +92,11 @@ class WithdrawHarness(StatefulTerm):
         return self._harness.scale
 
     def __call__(self, env: Env, mask: Tensor) -> Tensor:
-        falls = env.terminations.terminated.to(torch.float32).mean() / env.step_dt
+        falls = env.terminations.terminated.mean(dtype=torch.float32) / env.step_dt
         asked, walked = env.commands.velocity[:, 0], env.signals.root_lin_vel_t[:, 0]
         speed = (walked * (asked > 0.0)).sum() / asked.sum().clamp(min=1e-6)
-        self._falls = self._keep * self._falls + (1.0 - self._keep) * falls
-        self._speed = self._keep * self._speed + (1.0 - self._keep) * speed
+        self._falls = torch.lerp(falls, self._falls, self._keep)
+        self._speed = torch.lerp(speed, self._speed, self._keep)
         able = (self._falls < self._most_falls) & (self._speed > self._least_speed)
         self._harness.scale = (self._harness.scale - self._rate * env.step_dt * able).clamp(min=0.0)
         return self._harness.scale

@@ -79,7 +79,7 @@ def foot_contact(env: Env) -> Tensor:
 @mirrored_as(mirror.feet)
 def foot_load(env: Env) -> Tensor:
     """Ground force on each foot in units of body weight, [N, 2]."""
-    return env.signals.foot_force_w.norm(dim=2) / (env.robot.total_mass * 9.81)
+    return env.signals.foot_force / (env.robot.total_mass * 9.81)
 
 
 @mirrored_as(mirror.feet)
@@ -108,7 +108,7 @@ def height_scan(env: Env, clip: float = 1.0) -> Tensor:
     Args:
         clip: Largest absolute value, m.
     """
-    height = env.signals.root_pos_w[:, 2:3] - env.patch.heights_w - env.robot.default_root_height
+    height = (env.signals.root_pos_w[:, 2:3] - env.robot.default_root_height) - env.patch.heights_w
     return height.clamp(-clip, clip)
 
 

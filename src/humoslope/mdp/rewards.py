@@ -29,7 +29,7 @@ def track_slope_velocity_exp(env: Env, std: float) -> Tensor:
         std: Speed error at which the reward has fallen to 1/e, m/s.
     """
     error = (env.commands.velocity[:, :2] - env.signals.root_lin_vel_t[:, :2]).square().sum(dim=1)
-    return torch.exp(-error / std**2)
+    return torch.exp(error / -(std**2))
 
 
 def track_yaw_rate_exp(env: Env, std: float) -> Tensor:
@@ -38,8 +38,8 @@ def track_yaw_rate_exp(env: Env, std: float) -> Tensor:
     Args:
         std: Error at which the reward has fallen to 1/e, rad/s.
     """
-    yaw_rate = -(env.signals.projected_gravity_b * env.signals.root_ang_vel_b).sum(dim=1)
-    return torch.exp(-(env.commands.velocity[:, 2] - yaw_rate).square() / std**2)
+    about_gravity = (env.signals.projected_gravity_b * env.signals.root_ang_vel_b).sum(dim=1)
+    return torch.exp((env.commands.velocity[:, 2] + about_gravity).square() / -(std**2))
 
 
 def alive(env: Env) -> Tensor:
@@ -110,9 +110,9 @@ def action_rate_l2(env: Env) -> Tensor:
 def joint_pos_limits(env: Env, soft: float) -> Tensor:
     """How far joints are outside the middle share `soft` of their range, rad, summed."""
     low, high = env.joint_range.unbind(dim=1)
-    margin = 0.5 * (1.0 - soft) * (high - low)
+    margin = 0.5 * (1.0 - soft)
     pos = env.signals.joint_pos
-    return ((low + margin - pos).clamp(min=0.0) + (pos - high + margin).clamp(min=0.0)).sum(dim=1)
+    return (pos - pos.clamp(low.lerp(high, margin), high.lerp(low, margin))).abs().sum(dim=1)
 
 
 def energy(env: Env) -> Tensor:
@@ -144,7 +144,7 @@ def foot_clearance_exp(env: Env, target: float, std: float, speed_scale: float) 
     """
     speed = env.signals.foot_lin_vel_w[:, :, :2].norm(dim=2)
     error = (env.signals.foot_height - target).square() * torch.tanh(speed_scale * speed)
-    return torch.exp(-error.sum(dim=1) / std**2)
+    return torch.exp(error.sum(dim=1) / -(std**2))
 
 
 def body_contact(env: Env, force: float) -> Tensor:
@@ -169,8 +169,8 @@ class SingleStance(StatefulTerm):
         changed = contact != self._contact
         self._time_in_mode = (self._time_in_mode + env.step_dt).masked_fill(changed, 0.0)
         self._contact = contact
-        single = (contact.sum(dim=1) == 1) & env.commands.moving
-        return (self._time_in_mode.min(dim=1).values / self._cap).clamp(max=1.0) * single
+        single = (contact[:, 0] != contact[:, 1]) & env.commands.moving
+        return (self._time_in_mode.amin(dim=1) / self._cap).clamp(max=1.0) * single
 
     def reset(self, mask: Tensor) -> None:
         """Time starts anew."""

@@ -16,9 +16,8 @@ from humoslope.play.quantities import Array, Measured
 
 RUN_UP = 0.75
 """Level ground ahead of the start before a ramp begins, m; as in the ramp check."""
-BEHIND = 20.0
-HALF_WIDTH = 20.0
-HALF_THICKNESS = 0.5
+BEHIND, HALF_WIDTH, HALF_THICKNESS = 20.0, 20.0, 0.5
+"""Of the slabs that make a ramp: level ground behind the start, and their other extents, m."""
 GROUND = "ground"
 
 
@@ -43,8 +42,8 @@ class World:
         self._contract, self.grade = contract, math.radians(grade)
         spec = _load(folder / contract.robot.file)
         root = _named(spec.body(contract.robot.root_body), "body", contract.robot.root_body, spec.bodies)
-        joint = root.first_joint()
-        if joint is None or joint.type != mujoco.mjtJoint.mjJNT_FREE:
+        floating = root.first_joint()
+        if floating is None or floating.type != mujoco.mjtJoint.mjJNT_FREE:
             raise UserError(f"the robot model's body '{root.name}' has no free joint, so it cannot walk.")
         _add_drives(spec, contract)
         for name in contract.robot.foot_geoms:
@@ -56,7 +55,7 @@ class World:
         except ValueError as error:
             raise UserError(f"the robot model does not go with the contract: {_line(error)}.") from None
         self.data = mujoco.MjData(self.model)
-        free = self.model.joint(root.first_joint().name)
+        free = self.model.joint(self.model.body(contract.robot.root_body).jntadr[0])
         joints = [self.model.joint(joint.name) for joint in contract.joints]
         self._free_pos, self._free_vel = int(free.qposadr[0]), int(free.dofadr[0])
         self._qpos = np.array([joint.qposadr[0] for joint in joints])

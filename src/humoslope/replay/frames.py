@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -14,7 +15,7 @@ from humoslope.replay.ground import ground_shape
 from humoslope.replay.raytrace import Camera, Picture, Solid, render
 from humoslope.replay.robot import RobotShape
 from humoslope.replay.rollout import Rollout
-from humoslope.replay.shape import joined
+from humoslope.replay.shape import Shape, joined
 
 EYE = np.array((0.75, -3.2, 0.5), np.float32)
 """From the robot's right, a little ahead and above, m from it."""
@@ -32,11 +33,12 @@ class Frames:
     Args:
         rollout: What is drawn.
         width, height: Of the pictures, pixels.
+        meshes: See `RobotShape`.
     """
 
-    def __init__(self, rollout: Rollout, width: int, height: int) -> None:
+    def __init__(self, rollout: Rollout, width: int, height: int, meshes: Mapping[str, Shape] | None = None) -> None:
         self._rollout, self._width, self._height = rollout, width, height
-        self._robot = RobotShape(rollout.header["robot"]["urdf"])
+        self._robot = RobotShape(rollout.header["robot"]["urdf"], meshes)
         self._poses = self._robot.poses(rollout)
         self._ground = Solid(ground_shape(rollout))
         self._middle = follow(rollout.columns, rollout.header["dt"])

@@ -5,6 +5,7 @@ Light is one sun with sharp shadows, and a sky that lights from above. Colours a
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,8 +62,8 @@ class Camera:
         up = np.cross(right, forward)
         scale = 2.0 * np.tan(0.5 * self.view) / self.height
         x, y = scale * (column - 0.5 * self.width), scale * (0.5 * self.height - row)
-        rays = forward + x[:, None] * right + y[:, None] * up
-        return (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
+        rays = np.stack([np.ones_like(x), x, y], axis=1) @ np.stack([forward, right, up]).astype(np.float32)
+        return _unit(rays.astype(np.float32))
 
 
 class Solid:
@@ -106,10 +107,9 @@ class Solid:
     def surface(self, triangle: NDArray[np.int32], u: Array, v: Array) -> tuple[Array, Array]:
         """At places in triangles: normal [P, 3], evened out between the corners, and the first corner's colour."""
         corners = self._shape.triangles[triangle]
-        weights = np.stack([1.0 - u - v, u, v], axis=1)[:, :, None].astype(np.float32)
-        normal: Array = (self._shape.normals[corners] * weights).sum(axis=1)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-        return normal, self._colours[corners[:, 0]]
+        first, second, third = (self._shape.normals[corners[:, i]] for i in range(3))
+        u, v = u[:, None], v[:, None]
+        return _unit(first * (1.0 - u - v) + second * u + third * v), self._colours[corners[:, 0]]
 
 
 def render(camera: Camera, solids: list[Solid]) -> Picture:
@@ -128,18 +128,18 @@ def _trace(camera: Camera, solids: list[Solid], column: Array, row: Array) -> tu
     rays = camera.rays(column, row)
     origins = np.broadcast_to(camera.eye.astype(np.float32), rays.shape).copy()
     met = [solid.meet(origins, rays) for solid in solids]
-    nearest = np.argmin([distance for distance, *_ in met], axis=0)
+    nearest = functools.reduce(np.minimum, [distance for distance, *_ in met])
     colour = HORIZON + (ZENITH - HORIZON) * np.clip(1.6 * rays[:, 2:], 0.0, 1.0)
     seen = np.full(len(rays), -1, np.int32)
     for number, (solid, (distance, triangle, u, v)) in enumerate(zip(solids, met, strict=True)):
-        here = np.flatnonzero((nearest == number) & np.isfinite(distance))
+        here = np.flatnonzero((distance == nearest) & np.isfinite(distance))
         if not len(here):
             continue
         normal, albedo = solid.surface(triangle[here], u[here], v[here])
         place = origins[here] + distance[here, None] * rays[here] + LIFT * normal
         light = normal @ SUN
         lit = np.flatnonzero(light > 0.0)
-        dark = np.any([other.shades(place[lit]) for other in solids], axis=0)
+        dark = functools.reduce(np.logical_or, [other.shades(place[lit]) for other in solids])
         light[lit[dark]] = 0.0
         shaded = albedo * (SUNLIGHT * np.maximum(light, 0.0)[:, None] + SKYLIGHT * (0.6 + 0.4 * normal[:, 2:]))
         haze = 1.0 - np.exp(-distance[here, None] / HAZE)
@@ -148,9 +148,15 @@ def _trace(camera: Camera, solids: list[Solid], column: Array, row: Array) -> tu
     return colour.astype(np.float32), seen
 
 
+def _unit(vectors: Array) -> Array:
+    """Vectors [P, 3] at length 1."""
+    unit: Array = vectors / np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]
+    return unit
+
+
 def _edges(kind: NDArray[np.int32], colour: Array) -> NDArray[np.bool_]:
     """Which pixels [height, width] differ from a neighbour so much that they would look jagged."""
-    brightness = colour.mean(axis=1).reshape(kind.shape)
+    brightness = (colour @ np.full(3, 1.0 / 3.0, np.float32)).reshape(kind.shape)
     edges = np.zeros(kind.shape, bool)
     for axis in (0, 1):
         step = (np.diff(kind, axis=axis) != 0) | (np.abs(np.diff(brightness, axis=axis)) > 0.06)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,19 +35,21 @@ class Poses:
 class RobotShape:
     """A robot as it is drawn.
 
+    Args:
+        urdf: Its text.
+        meshes: What each link looks like, instead of the shapes in the URDF.
+
     Attributes:
         shapes: What each link that has one looks like, in the link's frame.
     """
 
-    def __init__(self, urdf: str) -> None:
+    def __init__(self, urdf: str, meshes: Mapping[str, Shape] | None = None) -> None:
         try:
             self._urdf = yourdfpy.URDF.load(io.BytesIO(urdf.encode()), load_meshes=False)
         except Exception:  # lxml and yourdfpy raise whatever they stumble on
             raise UserError("the URDF in this rollout cannot be read; record it anew.") from None
-        self.shapes = {link: _shape(self._urdf, link) for link in self._drawn()}
-
-    def _drawn(self) -> list[str]:
-        return [link.name for link in self._urdf.robot.links if link.visuals]
+        drawn = [link.name for link in self._urdf.robot.links if link.visuals]
+        self.shapes = dict(meshes) if meshes is not None else {link: _shape(self._urdf, link) for link in drawn}
 
     def poses(self, rollout: Rollout) -> dict[str, Poses]:
         """Where every link is at every step of a walk."""

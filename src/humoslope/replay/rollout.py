@@ -20,7 +20,7 @@ A reader of format 1 may ignore what it does not know; a column that changes its
     reward_terms            names of the columns of `reward`
     terrain                 name, grade (degrees), cell, origin [x, y of heights[0, 0]], tile_origin, tile_length,
                             tile_width
-    events                  list of {time, kind, text}; kinds are fall, restart, end, push and ground
+    events                  list of {time, kind, text}; kinds are fall, push, ground and end
 """
 
 from __future__ import annotations

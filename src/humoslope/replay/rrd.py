@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import rerun as rr
@@ -13,22 +13,26 @@ from humoslope.replay import layout
 from humoslope.replay.plots import log_plots
 from humoslope.replay.rollout import Rollout
 from humoslope.replay.scene import Scene
+from humoslope.replay.shape import Shape
 
 PREFIXES = ("first/", "second/")
 
 
-def write_rrd(rollouts: Sequence[Rollout], path: Path) -> None:
+def write_rrd(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] | None = None) -> None:
     """Writes one rollout, or two side by side on one timeline, as an .rrd file with its layout.
+
+    Args:
+        meshes: See `RobotShape`.
 
     Raises:
         UserError: If there are more than two.
     """
     if not 1 <= len(rollouts) <= len(PREFIXES):
         raise UserError(f"{len(rollouts)} rollouts cannot be shown at once; give one or two.")
-    write_atomically(path, lambda temporary: _write(rollouts, temporary))
+    write_atomically(path, lambda temporary: _write(rollouts, temporary, meshes))
 
 
-def _write(rollouts: Sequence[Rollout], path: Path) -> None:
+def _write(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] | None) -> None:
     alone, names = len(rollouts) == 1, names_of(rollouts)
     blueprint = layout.single(names[0]) if alone else layout.comparison(names, PREFIXES)
     # A viewer keeps one layout for each application, so that single walks and comparisons must be two.
@@ -36,7 +40,7 @@ def _write(rollouts: Sequence[Rollout], path: Path) -> None:
     recording.save(path, default_blueprint=blueprint)
     recording.send_recording_name(" and ".join(names))
     for i, rollout in enumerate(rollouts):
-        scene = Scene(recording, rollout, "" if alone else PREFIXES[i])
+        scene = Scene(recording, rollout, "" if alone else PREFIXES[i], meshes)
         scene.log()
         scene.log_about(describe(rollout))
         log_plots(scene, rollout, shared="" if alone else f"{i + 1} ", pale=i > 0)

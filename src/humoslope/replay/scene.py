@@ -5,7 +5,7 @@ Everything that moves is sent in columns, all steps at once: row by row it would
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -43,10 +43,18 @@ class Scene:
         recording: Gets the entities.
         rollout: What is shown.
         prefix: Of all entity paths, such as "first/".
+        meshes: See `RobotShape`.
     """
 
-    def __init__(self, recording: rr.RecordingStream, rollout: Rollout, prefix: str = "") -> None:
+    def __init__(
+        self,
+        recording: rr.RecordingStream,
+        rollout: Rollout,
+        prefix: str = "",
+        meshes: Mapping[str, Shape] | None = None,
+    ) -> None:
         self._recording, self._rollout, self._prefix = recording, rollout, prefix
+        self._robot = RobotShape(rollout.header["robot"]["urdf"], meshes)
         time = rollout.columns.time
         self._times = [rr.TimeColumn(TIME, duration=time), rr.TimeColumn(STEP, sequence=np.arange(1, len(time) + 1))]
 
@@ -67,9 +75,8 @@ class Scene:
         self._log_events()
 
     def _log_robot(self) -> None:
-        shape = RobotShape(self._rollout.header["robot"]["urdf"])
-        poses = shape.poses(self._rollout)
-        for link, look in shape.shapes.items():
+        poses = self._robot.poses(self._rollout)
+        for link, look in self._robot.shapes.items():
             self._static(f"world/robot/{link}", _mesh(look))
             self._moves(f"world/robot/{link}", poses[link].position, poses[link].rotation)
 

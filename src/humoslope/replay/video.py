@@ -16,6 +16,7 @@ from PIL import Image
 from humoslope.errors import UserError
 from humoslope.files import write_atomically
 from humoslope.replay.frames import Frames
+from humoslope.replay.meshes import load_meshes
 from humoslope.replay.raytrace import Picture
 from humoslope.replay.rollout import Rollout
 
@@ -36,6 +37,7 @@ class VideoCfg:
         fps: Pictures per second.
         width, height: Pixels; even numbers, as video codecs want them.
         workers: Processes that draw; 0 for one on each core.
+        meshes: Draws the robot with the meshes that `humoslope meshes` has fetched.
     """
 
     start: float = 0.0
@@ -44,6 +46,7 @@ class VideoCfg:
     width: int = 960
     height: int = 540
     workers: int = 0
+    meshes: bool = False
 
     def __post_init__(self) -> None:
         if self.start < 0.0 or (self.seconds is not None and self.seconds <= 0.0):
@@ -134,18 +137,22 @@ def _draw(rollout: Rollout, steps: Sequence[int], cfg: VideoCfg) -> Iterator[Pic
     """The pictures of these steps, in their order."""
     workers = min(cfg.workers or os.cpu_count() or 1, len(steps))
     if workers == 1:
-        frames = Frames(rollout, cfg.width, cfg.height)
-        yield from map(frames, steps)
+        yield from map(_frames_of(rollout, cfg), steps)
         return
     # Spawned, not forked: a fork would copy the locks of whatever threads run here.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _prepare, (rollout, cfg.width, cfg.height)) as pool:
+    with ProcessPoolExecutor(workers, context, _prepare, (rollout, cfg)) as pool:
         yield from pool.map(_draw_one, steps)
 
 
-def _prepare(rollout: Rollout, width: int, height: int) -> None:
+def _frames_of(rollout: Rollout, cfg: VideoCfg) -> Frames:
+    meshes = load_meshes(rollout.header["robot"]["name"]) if cfg.meshes else None
+    return Frames(rollout, cfg.width, cfg.height, meshes)
+
+
+def _prepare(rollout: Rollout, cfg: VideoCfg) -> None:
     global _frames  # noqa: PLW0603 - a process pool has no other place for what its processes keep
-    _frames = Frames(rollout, width, height)
+    _frames = _frames_of(rollout, cfg)
 
 
 def _draw_one(step: int) -> Picture:

@@ -37,7 +37,7 @@ def open_window(path: Path) -> None:
     Raises:
         UserError: If there is no display, or the viewer does not run on this machine.
     """
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if not has_display():
         raise UserError(
             "there is no display; look from a browser with --web, elsewhere with --save FILE.rrd, "
             "or make a video with `humoslope video`."
@@ -46,6 +46,11 @@ def open_window(path: Path) -> None:
         done = subprocess.run([program(), str(path), "--port", "auto", "--bind", HOST], stderr=said, check=False)
         if done.returncode:
             raise _failure(done.returncode, said)
+
+
+def has_display() -> bool:
+    """Whether windows can be opened."""
+    return not sys.platform.startswith("linux") or any(os.environ.get(n) for n in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 @contextmanager
@@ -139,9 +144,9 @@ def _failure(code: int, said: IO[str]) -> UserError:
     """Why the viewer ended, from what it wrote to its error stream."""
     said.seek(0)
     text = said.read()
-    if "adapter" in text or "render context" in text:
+    if any(word in text.lower() for word in ("graphics driver", "adapter", "render context")):
         return UserError(
-            "rerun finds no graphics driver; install one for Vulkan (on Debian: mesa-vulkan-drivers), "
+            "rerun finds no graphics driver it can draw with; install one for Vulkan (on Debian: mesa-vulkan-drivers), "
             "look from a browser with --web, or make a video with `humoslope video`."
         )
     last = text.strip().splitlines()[-1].strip().rstrip(".") if text.strip() else "it said nothing"

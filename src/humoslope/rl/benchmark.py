@@ -142,12 +142,12 @@ def _env_block(env: ManagerBasedRlEnv, act: Callable[[TensorDict], Tensor]) -> t
     frames: list[dict[str, Tensor]] = []
     step, spent = env.sim.step, 0.0
 
-    def record(n: int) -> None:
+    def record(n: int, active: Tensor | None) -> None:
         nonlocal spent
         start = _now(env)
         frames.append({field: env.sim.state(field).clone() for field in STATE})
         spent -= _now(env) - start
-        step(n)
+        step(n, active)
 
     with _hung(env.sim, "step", record):
         for _ in range(BLOCK):

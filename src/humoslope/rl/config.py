@@ -88,7 +88,7 @@ class AgentCfg(Strict):
         if self.logger == "wandb" and find_spec("wandb") is None:
             raise UserError("agent.logger 'wandb' needs a package that is not installed: pip install '.[wandb]'.")
         network = {
-            "class_name": "MLPModel",
+            "class_name": "humoslope.rl.network:Network",
             "hidden_dims": list(self.hidden_dims),
             "activation": "elu",
             "obs_normalization": self.obs_normalization,

@@ -15,6 +15,7 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.rl import checkpoint
 from humoslope.rl.config import AgentCfg
+from humoslope.rl.network import Network
 
 GROUP = "actor"
 """The observation group that actors read."""
@@ -114,7 +115,7 @@ def load_actor(path: Path, env: ManagerBasedRlEnv, task: str | None = None) -> A
         obs_normalization=any(name.startswith("obs_normalizer.") for name in weights),
     ).to_rsl_rl()
     network = {name: value for name, value in cfg["actor"].items() if name != "class_name"}
-    model = MLPModel(obs, {GROUP: [GROUP]}, GROUP, env.robot.num_joints, **network).to(env.device)
+    model = Network(obs, {GROUP: [GROUP]}, GROUP, env.robot.num_joints, **network).to(env.device)
     try:
         model.load_state_dict(weights)
     except RuntimeError as error:

@@ -10,6 +10,43 @@ import mujoco
 
 
 @dataclass(frozen=True)
+class MeshVisual:
+    """A mesh on a link.
+
+    Attributes:
+        link: That wears it.
+        file: Name of an STL file, in metres and in the link's frame.
+        position: Where it is moved to in that frame, m.
+        colour: (red, green, blue) in 0..255.
+    """
+
+    link: str
+    file: str
+    colour: tuple[int, int, int]
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class MeshSource:
+    """Where the real look of a robot can be had: a Python package that carries its meshes.
+
+    Attributes:
+        package, version: On the package index.
+        sha256: Of its wheel, hexadecimal.
+        folder: Of the meshes in the wheel.
+        visuals: Every mesh on its link.
+        licence: What the user should know of their licence.
+    """
+
+    package: str
+    version: str
+    sha256: str
+    folder: str
+    visuals: tuple[MeshVisual, ...]
+    licence: str
+
+
+@dataclass(frozen=True)
 class Robot:
     """A legged robot, described once; every tuple over joints follows `joint_names`.
 
@@ -18,6 +55,7 @@ class Robot:
         make_spec: Builds a fresh `MjSpec`: a free joint on `root_body`, one position actuator per joint (same names and
             order as `joint_names`), a site at each sole, and no ground.
         urdf: The same links and joints with shapes to draw, for viewers.
+        meshes: Where its real look can be had, if anywhere.
         root_body: The body that carries the free joint.
         torso_body: The body that carries the upper body; the harness acts on it.
         imu_site: Where angular velocity and gravity are measured.
@@ -53,6 +91,7 @@ class Robot:
     damping: tuple[float, ...]
     effort_limit: tuple[float, ...]
     total_mass: float
+    meshes: MeshSource | None = None
 
     @property
     def num_joints(self) -> int:

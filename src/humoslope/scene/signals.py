@@ -36,6 +36,7 @@ class Signals:
         com_height: [N] centre of mass above the ground below it, m.
         foot_pos_w, foot_normal_w, foot_lin_vel_w, foot_force_w: [N, 2, 3] sole centre, sole's up axis, m/s, ground
             force in N.
+        foot_force: [N, 2] its magnitude, N.
         foot_height: [N, 2] sole centre above the ground below it, m.
         foot_contact: [N, 2] bool.
         body_force: [N] ground force on everything but the feet, N.
@@ -88,29 +89,35 @@ class Signals:
         self.foot_normal_w = feet("foot_normal_w")
         self.foot_lin_vel_w = feet("foot_lin_vel_w")
         self.foot_force_w = feet("foot_force_w")
-        self.foot_contact = self.foot_force_w.norm(dim=2) > CONTACT_FORCE
+        self.foot_force = self.foot_force_w.norm(dim=2)
+        self.foot_contact = self.foot_force > CONTACT_FORCE
         self._body_force_w = data[:, take["robot_force_w"]] - self.foot_force_w.sum(dim=1)
         self.body_force = self._body_force_w.norm(dim=1)
         self._shin_force_w = feet("shin_force_w")
 
-        self.projected_gravity_b = -quaternion.up_in_body(self.root_quat_w)
-        self.root_lin_vel_b = quaternion.rotate_inverse(self.root_quat_w, self.root_lin_vel_w)
-        self.heading_w = quaternion.yaw(self.root_quat_w)
+        rotation = quaternion.matrix(self.root_quat_w)  # [N, 3, 3]
+        self.projected_gravity_b = -rotation[:, 2]
+        self.root_lin_vel_b = (rotation * self.root_lin_vel_w[:, :, None]).sum(dim=1)
+        self.heading_w = torch.atan2(rotation[:, 1, 0], rotation[:, 0, 0])
         self._refresh_ground()
 
     def _refresh_ground(self) -> None:
-        points = torch.cat([self.root_pos_w[:, None], self.com_pos_w[:, None], self.foot_pos_w], dim=1)  # [N, 4, 3]
-        height = points[:, :, 2] - self._terrain.height(points[:, :, :2])  # [N, 4]
+        root = self.root_pos_w[:, None]
+        points = torch.cat([root, self.com_pos_w[:, None], self.foot_pos_w], dim=1)  # [N, 4, 3]
+        # One lookup for all of it: what a lookup costs hardly depends on the number of points.
+        places = torch.cat([points[:, :, :2], self._terrain.around(root[:, 0, :2])], dim=1)  # [N, 8, 2]
+        ground = self._terrain.height(places)
+        height = points[:, :, 2] - ground[:, :4]
         self.root_height, self.com_height, self.foot_height = height[:, 0], height[:, 1], height[:, 2:]
-        self.slope_normal_w = self._terrain.slope_normal(self.root_pos_w[:, :2])
-        n = self.slope_normal_w
-        cos, sin = self.heading_w.cos(), self.heading_w.sin()
+        self.slope_normal_w = n = self._terrain.slope_normal(ground[:, 4:])
+        heading = torch.stack([self.heading_w.cos(), self.heading_w.sin()], dim=1)  # [N, 2]
         # The forward direction is the one in the tangent plane that lies over the heading:
         # its rise follows from n . t = 0.
-        rise = -(n[:, 0] * cos + n[:, 1] * sin) / n[:, 2]
+        rise = -(n[:, :2] * heading).sum(dim=1) / n[:, 2]
         self.slope_pitch = torch.atan(rise)
-        self._forward_w = torch.nn.functional.normalize(torch.stack([cos, sin, rise], dim=1), dim=1)
-        self._left_w = torch.linalg.cross(n, self._forward_w)
+        over = torch.cat([heading, rise[:, None]], dim=1)
+        forward = over / over.norm(dim=1, keepdim=True)
+        self._along_ground = torch.stack([forward, torch.linalg.cross(n, forward), n], dim=1)  # [N, 3, 3]
         self.root_lin_vel_t = self.along_ground(self.root_lin_vel_w)
 
     @property
@@ -121,8 +128,7 @@ class Signals:
     def along_ground(self, v: Tensor) -> Tensor:
         """Vectors `v` [N, 3] of the world frame, in the slope frame of the robot's heading:
         forward, left, out of the ground."""
-        forward, left, n = self._forward_w, self._left_w, self.slope_normal_w
-        return torch.stack([(v * forward).sum(dim=1), (v * left).sum(dim=1), (v * n).sum(dim=1)], dim=1)
+        return (self._along_ground * v[:, None]).sum(dim=2)
 
 
 def _fresh(reading: Tensor, broken: Tensor | None) -> Tensor:

@@ -2,34 +2,35 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import torch
 from torch import Tensor
 
 
+@lru_cache(maxsize=8)
+def _expansion(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """[9, 16] and [9]: the rotation matrix from the products of all pairs of w, x, y, z, and its constant part."""
+    products = 2.0 * torch.eye(16, dtype=dtype, device=device).view(4, 4, 16)
+    w, x, y, z = range(4)
+    rows = (
+        (-products[y, y] - products[z, z], products[x, y] - products[w, z], products[x, z] + products[w, y]),
+        (products[x, y] + products[w, z], -products[x, x] - products[z, z], products[y, z] - products[w, x]),
+        (products[x, z] - products[w, y], products[y, z] + products[w, x], -products[x, x] - products[y, y]),
+    )
+    entries = [entry for row in rows for entry in row]
+    return torch.stack(entries), torch.eye(3, dtype=dtype, device=device).flatten()
+
+
+def matrix(q: Tensor) -> Tensor:
+    """The rotation matrix [..., 3, 3] of `q` [..., 4]: body frame to world frame."""
+    products = q.unsqueeze(-1) * q.unsqueeze(-2)
+    return torch.nn.functional.linear(products.flatten(-2), *_expansion(q.dtype, q.device)).unflatten(-1, (3, 3))
+
+
 def rotate(q: Tensor, v: Tensor) -> Tensor:
     """Rotates vectors `v` [..., 3] by `q` [..., 4]: body frame to world frame."""
-    w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * torch.linalg.cross(u, v)
-    return v + w * t + torch.linalg.cross(u, t)
-
-
-def rotate_inverse(q: Tensor, v: Tensor) -> Tensor:
-    """Rotates vectors `v` [..., 3] by the inverse of `q` [..., 4]: world frame to body frame."""
-    w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * torch.linalg.cross(u, v)
-    return v - w * t + torch.linalg.cross(u, t)
-
-
-def up_in_body(q: Tensor) -> Tensor:
-    """The world's vertical seen from the body, [..., 3]: the last row of the rotation matrix of `q` [..., 4]."""
-    w, x, y, z = q.unbind(-1)
-    return torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], dim=-1)
-
-
-def yaw(q: Tensor) -> Tensor:
-    """Heading of the body's x axis in the horizontal plane, rad, [...]."""
-    w, x, y, z = q.unbind(-1)
-    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return (matrix(q) @ v.unsqueeze(-1)).squeeze(-1)
 
 
 def from_yaw(angle: Tensor) -> Tensor:

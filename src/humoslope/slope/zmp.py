@@ -36,15 +36,15 @@ def dominant_normal(foot_normal: Tensor, foot_force: Tensor) -> Tensor:
     Returns:
         [..., 3].
     """
-    left = (foot_force[..., :1] >= foot_force[..., 1:]).to(foot_normal.dtype)
-    return left * foot_normal[..., 0, :] + (1.0 - left) * foot_normal[..., 1, :]
+    left = foot_force[..., :1] >= foot_force[..., 1:]
+    return torch.where(left, foot_normal[..., 0, :], foot_normal[..., 1, :])
 
 
 def apparent_force(com_acc: Tensor) -> Tensor:
     """Apparent specific force F_app = g - a_com, [..., 3] m/s^2."""
-    gravity = torch.zeros_like(com_acc)
-    gravity[..., 2] = -GRAVITY
-    return gravity - com_acc
+    apparent = -com_acc
+    apparent[..., 2] -= GRAVITY
+    return apparent
 
 
 def zmp_on_plane(com: Tensor, apparent: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:

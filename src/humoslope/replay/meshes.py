@@ -1,0 +1,96 @@
+"""Real meshes of a robot, fetched once: from a package on the package index, verified by its hash, kept in a cache."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from humoslope.errors import UserError
+from humoslope.files import write_text
+from humoslope.replay.shape import Shape, joined
+from humoslope.scene.robot import MeshSource
+
+CACHE = Path(".meshes")
+"""Below the current folder; git ignores it."""
+INDEX = "visuals.json"
+"""Which link wears which mesh; written last, so that a cache with it is whole."""
+
+
+def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
+    """Downloads the meshes of a robot with pip, and returns their folder. What is there already is fetched anew.
+
+    Raises:
+        UserError: If the package cannot be had, has another hash, or lacks a mesh.
+    """
+    folder = cache / robot
+    with tempfile.TemporaryDirectory() as temporary:
+        with zipfile.ZipFile(_download(source, Path(temporary))) as wheel:
+            meshes = {}
+            for file in sorted({visual.file for visual in source.visuals}):
+                try:
+                    meshes[file] = wheel.read(f"{source.folder}/{file}")
+                except KeyError:
+                    raise UserError(f"{source.package} {source.version} has no {source.folder}/{file}.") from None
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / INDEX).unlink(missing_ok=True)
+        for file, content in meshes.items():
+            (folder / file).write_bytes(content)
+    write_text(folder / "LICENCE.txt", source.licence + "\n")
+    write_text(folder / INDEX, json.dumps([vars(visual) for visual in source.visuals], indent=2) + "\n")
+    return folder
+
+
+def load_meshes(robot: str, cache: Path = CACHE) -> dict[str, Shape]:
+    """What each link looks like, in the link's frame.
+
+    Raises:
+        UserError: If the meshes were not fetched.
+    """
+    folder = cache / robot
+    if not (folder / INDEX).is_file():
+        raise UserError(f"there are no meshes of '{robot}' in '{folder}'; `humoslope meshes` fetches them.")
+    try:
+        worn: dict[str, list[Shape]] = {}
+        for visual in json.loads((folder / INDEX).read_text(encoding="utf-8")):
+            worn.setdefault(visual.pop("link"), []).append(_shape(folder, **visual))
+        return {link: joined(shapes) for link, shapes in worn.items()}
+    except (OSError, ValueError, TypeError, KeyError):
+        raise UserError(f"the meshes in '{folder}' are broken; `humoslope meshes` fetches them anew.") from None
+
+
+def _shape(folder: Path, file: str, colour: list[int], position: list[float]) -> Shape:
+    mesh = trimesh.load_mesh(folder / file)
+    if not len(mesh.faces):  # what trimesh makes of most files that are no mesh
+        raise ValueError(file)
+    return Shape(
+        vertices=(mesh.vertices + position).astype(np.float32),
+        normals=mesh.vertex_normals.astype(np.float32),
+        triangles=mesh.faces.astype(np.int32),
+        colours=np.tile(np.array(colour, np.uint8), (len(mesh.vertices), 1)),
+    )
+
+
+def _download(source: MeshSource, folder: Path) -> Path:
+    """The wheel. pip refuses one with another hash, and keeps to the user's own index, proxy and certificates."""
+    what = f"{source.package} {source.version}"
+    wanted = folder / "wanted.txt"
+    wanted.write_text(f"{source.package}=={source.version} --hash=sha256:{source.sha256}\n")
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--disable-pip-version-check"]
+    options = ["--only-binary", ":all:", "--require-hashes", "--requirement", str(wanted), "--dest", str(folder)]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    if done.returncode:
+        if "DO NOT MATCH THE HASHES" in done.stderr:
+            raise UserError(
+                f"the {what} that was downloaded does not have the SHA-256 {source.sha256}; it was not kept."
+            )
+        if "No module named pip" in done.stderr:
+            raise UserError(f"pip is needed to fetch {what}, and is not installed for {sys.executable}.")
+        raise UserError(f"{what}, which carries the meshes, could not be downloaded; is there a network?")
+    return next(folder.glob("*.whl"))
