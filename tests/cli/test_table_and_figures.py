@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+
 import pytest
 
 from humoslope.cli import main
@@ -35,6 +37,28 @@ def test_a_method_can_be_given_the_name_of_a_row_of_the_paper(folder, capsys):
     assert main(["table", "1", f"Gallant={folder / 'a.json'}"]) == 0
     lines = [line.split("  ")[0].strip() for line in capsys.readouterr().out.splitlines()]
     assert lines.index("paper: Gallant") == lines.index("Gallant") + 2  # below the line on its training
+
+
+def test_an_evaluation_leaves_tables_and_what_they_can_be_made_of_again(untrained, tmp_path, capsys):
+    out = tmp_path / "look"
+    few = ["--grades", "0", "20", "--tiers", "0.6", "--trials", "1", "--lanes", "1", "--timeout-s", "1.4"]
+    assert main(["evaluate", str(untrained), *few, "--out", str(out)]) == 0
+    assert "paper: Ours" in capsys.readouterr().out
+    cells = list(csv.DictReader((tmp_path / "look.csv").read_text().splitlines()))
+    assert [(cell["grade °"], cell["SR %"], cell["source"]) for cell in cells] == [
+        ("0.0", "0.0", "ours"),
+        ("20.0", "0.0", "ours"),
+    ]
+    told = (tmp_path / "look.md").read_text()
+    for title in (
+        "Held-out slope tracks",
+        "paper: Stage I only",
+        "Posture and load by direction",
+        "grade and friction",
+    ):
+        assert title in told
+    assert main(["table", "1", f"{out}.json", "--out", str(tmp_path / "again")]) == 0
+    assert (tmp_path / "again.md").read_text() in told
 
 
 def test_figures_are_drawn(folder, tmp_path, capsys):

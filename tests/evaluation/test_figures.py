@@ -40,6 +40,13 @@ def test_the_height_of_the_centre_of_mass_is_drawn_at_each_grade(results):
     assert list(drawn) == [grade.summary.com_height for grade in results[0].grades]
 
 
+def test_millimetres_are_not_drawn_as_a_change_of_posture(results):
+    figure = Figure()
+    com_height_by_grade(results[:1], figure)
+    low, high = figure.axes[0].get_ylim()
+    assert high - low > 0.0999
+
+
 def test_success_is_drawn_with_its_interval_in_a_panel_for_each_tier(results):
     figure = Figure()
     success_by_grade(results, figure)
@@ -72,7 +79,7 @@ def test_torque_and_flexion_are_drawn_along_the_track_over_its_named_segments(re
     shown = flexion.lines[0].get_ydata()
     assert shown[40] == pytest.approx(math.degrees(results[0].at(20.0).profile["knee_flexion"][40]))
     assert torque.lines[0].get_xdata()[0] == 0.25
-    assert np.nanmax(torque.lines[0].get_xdata()) < GOAL + 1.0
+    assert np.nanmax(torque.lines[0].get_xdata()) == GOAL - 0.25
 
 
 def test_a_grade_that_nobody_walked_is_not_drawn_along_the_track(results, tmp_path):

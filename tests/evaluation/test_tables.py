@@ -15,7 +15,7 @@ from humoslope.evaluation.paper import FILE, Paper, read_paper
 from humoslope.evaluation.results import Result, Training, read_results
 from humoslope.evaluation.sheet import Column, Row, Sheet
 from humoslope.evaluation.statistics import proportion
-from humoslope.evaluation.tables import ablation_table, diagnostics_table, main_table
+from humoslope.evaluation.tables import ablation_table, cells_table, diagnostics_table, main_table
 from tests.evaluation.made_up import report, sweep, write
 
 STAGE2, URL = "HumoSlope-Stage2-Unitree-G1", "URL-TerrainRelative-Unitree-G1"
@@ -128,6 +128,24 @@ def test_diagnostics_are_told_uphill_on_the_flat_and_downhill(results):
     assert diagnostics_table(results, 15.0).rows[0].values == ("up", *[None] * 11)
 
 
+def test_every_figure_is_told_by_grade_and_friction(results):
+    sheet = cells_table(results)
+    assert len(sheet.rows) == 2 * len(results[0].cells)
+    row, cell = sheet.rows[4], results[0].cells[4]
+    shown = dict(zip((column.title for column in sheet.columns), row.values, strict=True))
+    assert (shown["grade °"], shown["friction"]) == (10.0, pytest.approx(0.776, abs=1e-3))
+    assert (shown["SR %"], shown["MXD m"]) == (cell.summary.success, cell.summary.max_distance)
+    assert (shown["CoT +"], shown["τ max Nm"]) == (cell.summary.cost_of_transport_positive, cell.summary.knee_max)
+    assert shown["fell"] + shown["left"] + shown["timed out"] + cell.summary.success.count == 8
+
+
+def test_only_grades_that_were_walked_have_columns_and_without_any_the_papers(results, paper):
+    few = replace(results[0], grades=results[0].grades[2:3])
+    assert [column.group for column in main_table([few], paper).columns] == ["20°"] * 3 + [""]
+    none = replace(results[0], grades=())
+    assert len(main_table([none], paper).columns) == 13
+
+
 @pytest.mark.parametrize(
     ("training", "said"),
     [
@@ -219,7 +237,7 @@ def test_csv_and_json_have_full_precision_and_say_whose_a_row_is():
 
 
 def test_every_table_can_be_written_in_every_form(results, paper):
-    for sheet in (main_table(results, paper), ablation_table(results, paper), diagnostics_table(results)):
+    for sheet in (main_table(results, paper), ablation_table(results, paper), cells_table(results)):
         rows = list(csv.DictReader(io.StringIO(sheet.to_csv())))
         assert len(rows) == len(sheet.rows) == len(json.loads(sheet.to_json())["rows"])
         assert len(sheet.to_markdown().splitlines()) == 4 + len(sheet.rows) + 1 + len(sheet.notes)

@@ -30,6 +30,9 @@ MARKERS = "osD^vPX*"
 SHADES = {1: "#f3e3d7", -1: "#dde8ee"}
 """Behind the segments that go up and down."""
 
+LEAST_SPAN = 0.1
+"""Least extent of an axis of heights, m: millimetres should not look like a change of posture."""
+
 
 def draw_all(results: Sequence[Result], folder: Path, grade: float) -> list[Path]:
     """Writes every figure.
@@ -68,6 +71,9 @@ def com_height_by_grade(results: Sequence[Result], figure: Figure) -> None:
         spread = [_number(g.summary.com_height_std) for g in there]
         _points(axis, i, x, y, spread, _label(result))
     axis.set_xticks(sorted({g.grade for result in results for g in result.grades}))
+    low, high = axis.get_ylim()
+    spare = max(0.0, 0.5 * (LEAST_SPAN - (high - low)))
+    axis.set_ylim(low - spare, high + spare)
     _dress(axis, "nominal grade, degrees", "m", "Centre of mass above the ground, mean and deviation of trials")
     _legend(figure, axis)
 
@@ -132,7 +138,7 @@ def along_track(results: Sequence[Result], grade: float, figure: Figure) -> None
         for i, result, at in there:
             y = factor * np.array([_number(value) for value in at.profile[name]])
             x = BIN * (np.arange(len(y)) + 0.5)
-            shown = x <= result.goal + BIN  # beyond, only the few steps of the last control step are seen
+            shown = x < result.goal  # beyond, there is the last control step of a success and nothing else
             axis.plot(x[shown], y[shown], color=_colour(i), linewidth=1.8, label=_label(result))
         _shade(axis, there[0][1])
         _dress(axis, "", unit, title)

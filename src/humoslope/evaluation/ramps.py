@@ -24,8 +24,8 @@ from humoslope.evaluation.physics import measuring_physics
 from humoslope.evaluation.rollout import roll
 from humoslope.evaluation.statistics import Array, Proportion, mean, proportion
 from humoslope.evaluation.trials import Recorder, Trials
-from humoslope.managers import EventTerm, RewardTerm, Terms
-from humoslope.mdp import events, rewards
+from humoslope.managers import EventTerm, RewardTerm, TerminationTerm, Terms
+from humoslope.mdp import events, rewards, terminations
 from humoslope.terrain.grid import SPAWN_X, Tile, TileRow
 from humoslope.terrain.registry import Kind
 
@@ -37,6 +37,8 @@ STEEPEST = 60.0
 """Largest grade, degrees."""
 LONGEST = 200.0
 """Longest tile, m."""
+EDGE = 0.3
+"""Distance from the tile's edge at which a robot has left it, m."""
 START = {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}
 """Where robots start, m and rad; as wide as in training."""
 START_JOINTS = {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}
@@ -55,6 +57,8 @@ class RampProtocol:
         timestep: Physics step, s; the control step stays the task's.
         friction: Smallest coefficient between feet and ground.
         friction_margin: The coefficient is at least tan(grade) plus this.
+        fall_height: A root lower over the ground than this is a fall, m; as in Stage I's training.
+        fall_tilt: A root that leans further from the vertical than this is a fall, degrees; as in Stage I's training.
         seed: Of the random starts.
     """
 
@@ -65,6 +69,8 @@ class RampProtocol:
     timestep: float = 0.005
     friction: float = 0.8
     friction_margin: float = 0.3
+    fall_height: float = 0.4
+    fall_tilt: float = 55.0
     seed: int = 1000
 
     def __post_init__(self) -> None:
@@ -78,7 +84,7 @@ class RampProtocol:
         for name in ("speed", "seconds", "timestep"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise UserError(f"ramps: {name} is {getattr(self, name):g}; it must be positive.")
-        for name in ("friction", "friction_margin"):
+        for name in ("friction", "friction_margin", "fall_height", "fall_tilt"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise UserError(f"ramps: {name} is {getattr(self, name):g}; it must be 0 or more.")
         if self.tile_length > LONGEST:
@@ -127,14 +133,14 @@ class RampResult:
 
 
 def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
-    """The environment of a task, stripped to what is measured: its robot, actions, actor observations and terminations
-    on this protocol's ramps. Worlds are dealt out to the grades in their order, `starts` to each.
+    """The environment of a task, stripped to what is measured: its robot, actions and actor observations on this
+    protocol's ramps. Worlds are dealt out to the grades in their order, `starts` to each.
+
+    What a fall is, is the protocol's: a task may take a robot for fallen that has only walked downhill.
 
     Raises:
         UserError: If the task cannot be measured so.
     """
-    if all(term.time_out for _, term in task_env.terminations.items()):
-        raise UserError("ramps: this task has no termination that is a failure, so falls could not be counted.")
     actor = dataclasses.replace(task_env.observations.actor, corrupt=False)
     friction = {"friction": (protocol.friction,) * 2, "slope_margin": protocol.friction_margin}
     sim = measuring_physics(task_env.sim, protocol.timestep, "ramps")
@@ -155,6 +161,12 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
         ),
         observations=Terms(actor=actor),
         rewards=Terms(alive=RewardTerm(rewards.alive)),  # not used; an environment must have one
+        terminations=Terms(
+            time_out=TerminationTerm(terminations.time_out, time_out=True),
+            off_tile=TerminationTerm(terminations.off_tile, {"margin": EDGE}, time_out=True),
+            root_too_low=TerminationTerm(terminations.root_too_low, {"height": protocol.fall_height}),
+            tilted=TerminationTerm(terminations.tilted, {"degrees": protocol.fall_tilt}),
+        ),
         events=Terms(
             friction=EventTerm(events.randomize_friction, friction, mode="startup"),
             root=EventTerm(events.reset_on_tile, START),
