@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from humoslope.cli.measure import warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.files import check_place
 from humoslope.registry import build_task, load_content
@@ -59,6 +60,5 @@ def run(arguments: list[str]) -> None:
     signed(rollout, provenance, options.label or path.stem).save(out)
     for event in rollout.events:
         console.print(f"{event.time:7.2f} s  {event.text}", highlight=False)
-    for warning in env.sim.warnings():
-        console.print(f"[yellow]physics: {warning}[/yellow]")
+    warn(console, env.sim.warnings())
     console.print(f"wrote {out} ({out.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)

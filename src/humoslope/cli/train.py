@@ -55,14 +55,14 @@ def run(arguments: list[str]) -> None:
     if not arguments or arguments[0].startswith("-"):
         raise UserError(f"train needs a task: {', '.join(all_tasks())}.")
     task, options = arguments[0], arguments[1:]
-    build_task(task)  # a typing mistake in the name is said before anything else
+    earlier = build_task(task).start  # a typing mistake in the name is said before anything else
 
     own = early(TrainArgs(), task, options)
     resumed = find_run(task, own.resume) if own.resume else None
     if resumed is not None:
         origin, options = Origin(), merge_options(saved_options(resumed), options)
     else:
-        origin = find_origin(build_task(task).start, own.init, own.calibration)
+        origin = find_origin(earlier, own.init, own.calibration)
         options = merge_options([*origin.options], options)  # what the user typed wins
     cfg, args = parse(TrainArgs(), task, options)
     # A resumed run keeps its scale on any machine.

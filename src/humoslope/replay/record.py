@@ -205,7 +205,7 @@ def _events(env: ManagerBasedRlEnv, protocol: RecordProtocol, columns: Columns) 
 
 def signed(rollout: Rollout, provenance: Provenance, label: str) -> Rollout:
     """The rollout with its header saying whose it is."""
-    checkpoint = plain(provenance) | {"path": str(provenance.path), "training": provenance.training}
+    checkpoint = plain(provenance) | {"training": provenance.training}
     header = rollout.header | {
         "task": provenance.task,
         "label": label,

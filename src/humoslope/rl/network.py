@@ -1,4 +1,4 @@
-"""rsl_rl's network with a leaner way in: on the CPU, normalising observations took a fifth of the learning."""
+"""rsl_rl's network with a leaner way in, for the CPU: observations are neither copied nor passed over thrice."""
 
 from __future__ import annotations
 
