@@ -32,7 +32,7 @@ class FakeEnv(SimpleNamespace):
     num_envs: int
     device = torch.device("cpu")
     step_dt = 0.02
-    sim = SimpleNamespace(known_empty=lambda mask: False)  # as on a GPU
+    sim = SimpleNamespace(known_empty=lambda mask: False, known_rows=lambda mask: slice(None))  # as on a GPU
 
     def zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
         return torch.zeros(self.num_envs, *shape, dtype=dtype)

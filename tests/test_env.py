@@ -126,6 +126,35 @@ PROPRIOCEPTIVE = ("joint_pos/", "joint_vel/", "root_quat_w", "root_ang_vel_b")
 """Sensors that the robot has; of the orientation the actor gets the direction of gravity alone."""
 
 
+def test_a_step_takes_one_thread_of_torch_and_gives_the_others_back_even_if_it_fails(
+    make_stage1: Callable[..., ManagerBasedRlEnv], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env, before = make_stage1(2), torch.get_num_threads()
+    seen = []
+    monkeypatch.setattr(env.sim, "step", lambda n, mask: seen.append(torch.get_num_threads()))
+    try:
+        torch.set_num_threads(2)
+        env.step(noise(env, 0))
+        assert torch.get_num_threads() == 2
+        with pytest.raises(RuntimeError):
+            env.step(torch.zeros(5, 1))
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert seen == [1]
+
+
+def test_what_is_computed_on_demand_belongs_to_the_last_refresh(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
+    env = make_stage1(4, noiseless)
+    before = env.signals.root_lin_vel_t
+    for step in range(5):
+        env.step(noise(env, step))
+    late = env.signals.root_lin_vel_t
+    assert not late.equal(before)
+    env.signals.refresh()
+    assert env.signals.root_lin_vel_t.equal(late)
+
+
 def test_nothing_that_only_a_simulator_knows_reaches_the_actor(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
     env = make_stage1(12)
     for step in range(5):
@@ -151,7 +180,7 @@ def test_nothing_that_only_a_simulator_knows_reaches_the_actor(make_stage1: Call
             columns = slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
             scramble(env.signals._sensordata[:, columns], 300.0 if "force" in sensor.name else 1.0)
     scramble(env.signals._actuator_force, 10.0)
-    scramble(env.terrain._heights, 0.2)
+    scramble(env.terrain._planes, 0.2)
     scramble(env.sim.expand("geom_friction"), 0.1)
     scramble(env.sim.expand("body_mass"), 0.1)
     scramble(env.sim.state("xfrc_applied"), 10.0)

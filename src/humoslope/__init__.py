@@ -2,8 +2,11 @@
 
 import os
 
-# Set before torch is loaded: its threads would otherwise spin for a while after each operation, on the cores that the
-# physics needs next. `make bench` with OMP_WAIT_POLICY=active in the environment shows what that costs.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+# Set before torch is loaded. Its threads stay awake after an operation, by default for milliseconds, on the cores that
+# the physics needs next; were they to sleep at once, every small operation of an update would wait for them to wake. So
+# they stay awake for some tenths of a millisecond. `make bench` with GOMP_SPINCOUNT=0 or 3000000 in the environment
+# shows what either costs.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # where torch does not come with GNU's OpenMP
+os.environ.setdefault("GOMP_SPINCOUNT", "30000")
 
 __version__ = "0.1.0"

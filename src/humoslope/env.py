@@ -41,6 +41,7 @@ from humoslope.sim import make_simulation
 from humoslope.strict import Strict
 from humoslope.terrain.grid import TerrainGrid, TileRow
 from humoslope.terrain.queries import TerrainQueries
+from humoslope.threads import on_one_thread
 from humoslope.wreck import WreckRecorder
 
 
@@ -148,6 +149,7 @@ class ManagerBasedRlEnv:
         self.rewards = RewardManager(self, cfg.rewards)
         self._obs = self.observations.compute(everywhere)
 
+    @on_one_thread
     def step(self, action: Tensor, active: Tensor | None = None) -> tuple[TensorDict, Tensor, Tensor, Tensor]:
         """Advances every world by one control step.
 
@@ -216,7 +218,7 @@ class ManagerBasedRlEnv:
 
     def uniform(self, low: float, high: float, *shape: int) -> Tensor:
         """Uniform random numbers [N, *shape]."""
-        return torch.rand(self.num_envs, *shape, device=self.device) * (high - low) + low
+        return torch.empty(self.num_envs, *shape, device=self.device).uniform_(low, high)
 
     def body_id(self, name: str) -> int:
         """The id of a body of the model."""

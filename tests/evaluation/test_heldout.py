@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from pathlib import Path
 from types import MethodType
 
 import numpy as np
@@ -295,6 +296,20 @@ def test_a_later_look_with_fewer_trials_does_not_lose_the_others(whole: HeldOutT
     kept = saved.load(path, "mark", TINY)
     assert kept is not None
     assert_same(kept, whole)
+
+
+def test_the_fingerprint_knows_the_robot_wherever_its_files_lie(tmp_path: Path) -> None:
+    def mark(urdf: Path) -> str:
+        relay = Relay(TINY, TINY.find_course(), 2)
+        cfg = held_out_env_cfg(stage1_env(), relay)
+        cfg.scene.robot = dataclasses.replace(cfg.scene.robot, urdf=urdf)
+        return saved.fingerprint(cfg, relay, "a")
+
+    here = stage1_env().scene.robot.urdf
+    elsewhere, changed = tmp_path / "g1.urdf", tmp_path / "changed.urdf"
+    elsewhere.write_bytes(here.read_bytes())
+    changed.write_bytes(here.read_bytes() + b"<!-- -->")
+    assert mark(here) == mark(elsewhere) != mark(changed)
 
 
 def test_the_fingerprint_knows_protocol_checkpoint_and_lanes_but_not_how_many_trials() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 from hypothesis import given
@@ -94,7 +96,9 @@ def test_history_stands_term_by_term_with_the_oldest_first(env):
     assert obs.tolist() == [[2.0, 3.0, 4.0, 20.0, 200.0, 30.0, 300.0, 40.0, 400.0]] * N
 
 
-def test_a_world_that_starts_anew_gets_a_history_of_its_first_frame_and_the_others_keep_theirs(env, mask):
+@pytest.mark.parametrize("known_rows", [lambda mask: slice(None), lambda mask: mask.nonzero().squeeze(1)])
+def test_a_world_that_starts_anew_gets_a_history_of_its_first_frame_and_the_others_keep_theirs(env, mask, known_rows):
+    env.sim = SimpleNamespace(known_empty=lambda mask: False, known_rows=known_rows)
     observations = manager(env, history=3, speed=ObservationTerm(speed))
     for t in (1.0, 2.0, 3.0):
         env.speed = torch.full((N, 1), t)

@@ -236,3 +236,14 @@ def test_a_diverged_world_is_seen_and_the_others_go_on(
         run(simulation, 5)
     assert torch.equal(broken.state("qpos"), whole.state("qpos"))
     assert broken.warnings() == []
+
+
+def test_the_known_rows_hold_every_world_of_the_mask_and_where_looking_costs_nothing_no_other(
+    rig: mujoco.MjModel, backend: str
+) -> None:
+    simulation = start(rig, backend)
+    for mask in (MIDDLE, ALL, ~ALL):
+        rows = torch.arange(N)[simulation.known_rows(mask)]
+        assert set(mask.nonzero().squeeze(1).tolist()) <= set(rows.tolist())
+        assert backend == "warp" or len(rows) == mask.sum()
+        assert not simulation.known_empty(mask) or not mask.any()

@@ -34,13 +34,16 @@ def fingerprint(cfg: EnvCfg, relay: Relay, sha256: str) -> str:
     """
     protocol = asdict(relay.protocol)
     del protocol["trials"]
+    # Of the files that describe the robot it is what they say that counts, not where they lie; meshes only look.
+    robot = cfg.scene.robot
+    described = plain(robot) | {"urdf": hashlib.sha256(robot.urdf.read_bytes()).hexdigest(), "meshes": None}
     whole = {
         "protocol": protocol,
         "lanes": relay.lanes,
         "ground": hashlib.sha256(cfg.scene.terrain.build().heights.tobytes()).hexdigest(),
         "segments": plain(relay.course.segments),
         "environment": {name: plain(value) for name, value in vars(cfg).items() if name != "scene"},
-        "robot": plain(cfg.scene.robot),
+        "robot": described,
         "machine": [torch.cuda.is_available(), torch.get_num_threads(), torch.__version__, mujoco.__version__],
         "checkpoint": sha256,
     }

@@ -108,6 +108,8 @@ class _Group:
         noise = torch.cat([torch.full((self.widths[n],), t.noise) for n, t in terms]).to(env.device)
         self._noise = noise * self._scale  # [D]
         self._history = env.zeros(self.size)  # [N, H * D]
+        columns = torch.arange(frame, device=env.device).split(list(self.widths.values()))
+        self._places = torch.cat([column.repeat(cfg.history) for column in columns])  # [H * D] column of the frame
 
     def compute(self, restarted: Tensor) -> Tensor:
         frame = torch.cat([call(self.env) for call in self._calls.values()], dim=1)
@@ -119,7 +121,9 @@ class _Group:
             return frame
         history = self._shifted(frame)
         if not self.env.sim.known_empty(restarted):
-            history = torch.where(restarted[:, None], self._filled(frame), history)
+            rows = self.env.sim.known_rows(restarted)
+            filled = frame[rows][:, self._places]
+            history[rows] = torch.where(restarted[rows, None], filled, history[rows])
         self._history = history
         return history
 
@@ -129,8 +133,3 @@ class _Group:
         past = self._history.split([width * self.cfg.history for width in widths], dim=1)
         pairs = zip(past, frame.split(widths, dim=1), strict=True)
         return torch.cat([part for old, new in pairs for part in (old[:, new.shape[1] :], new)], dim=1)
-
-    def _filled(self, frame: Tensor) -> Tensor:
-        """A history of nothing but `frame` [N, D]."""
-        parts = frame.split(list(self.widths.values()), dim=1)
-        return torch.cat([part for part in parts for _ in range(self.cfg.history)], dim=1)

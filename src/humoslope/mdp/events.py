@@ -64,8 +64,9 @@ def reset_joints(env: Env, mask: Tensor, position: Range, velocity: Range) -> No
         position: rad.
         velocity: rad/s.
     """
+    low, high = env.joint_range.unbind(dim=1)
     joints = env.start_qpos[:, 7:] + env.uniform(*position, env.robot.num_joints)
-    env.start_qpos[:, 7:] = torch.clamp(joints, env.joint_range[:, 0], env.joint_range[:, 1])
+    env.start_qpos[:, 7:] = torch.minimum(torch.maximum(joints, low), high)
     env.start_qvel[:, 6:] = env.uniform(*velocity, env.robot.num_joints)
 
 

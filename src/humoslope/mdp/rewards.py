@@ -112,7 +112,8 @@ def joint_pos_limits(env: Env, soft: float) -> Tensor:
     low, high = env.joint_range.unbind(dim=1)
     margin = 0.5 * (1.0 - soft)
     pos = env.signals.joint_pos
-    return (pos - pos.clamp(low.lerp(high, margin), high.lerp(low, margin))).abs().sum(dim=1)
+    below, above = low.lerp(high, margin) - pos, pos - high.lerp(low, margin)
+    return (below.relu() + above.relu()).sum(dim=1)
 
 
 def energy(env: Env) -> Tensor:

@@ -64,16 +64,17 @@ class GroundPatch:
     def valid(self) -> Tensor:
         """Which points lie on the robot's own tile, [N, P] bool."""
         self._scan()
-        return self._valid
+        own_x, own_y = self._places == self._nearest
+        return own_x & own_y
 
     @property
     def descriptor(self) -> Descriptor:
         """The plane that lies closest to the valid points, [N]."""
         self._scan()
         if self._described is not self._scanned:
-            places = self._offsets.expand(len(self._valid), -1, -1)
+            places = self._offsets.expand(len(self._heights_w), -1, -1)
             points = torch.cat((places, self._heights_w.unsqueeze(1)), dim=1)  # [N, 3, P]: what is summed lies together
-            self._descriptor = terrain_descriptor(points.mT, self._valid, self.cfg.dead_band)
+            self._descriptor = terrain_descriptor(points.mT, self.valid, self.cfg.dead_band)
             self._described = self._scanned
         return self._descriptor
 
@@ -81,15 +82,12 @@ class GroundPatch:
         root, heading = self._signals.root_pos_w, self._signals.heading_w[:, None]
         if self._scanned is root:
             return
-        x, y = root[:, 0:1], root[:, 1:2]
         cos, sin = heading.cos(), heading.sin()
-        forward, left = self._offsets
-        x = torch.addcmul(x + cos * forward, sin, left, value=-1.0)
-        y = torch.addcmul(y + sin * forward, cos, left)
-        places = torch.stack((x, y))  # [2, N, P]
+        turn = torch.cat((cos, -sin, sin, cos), dim=1)  # [N, 4] rows of x and of y
+        turn = turn.view(-1, 2, 2).transpose(0, 1).reshape(-1, 2)  # [2 N, 2] all x, then all y
+        places = torch.addmm(root[:, :2].T.reshape(-1, 1), turn, self._offsets).view(2, len(root), -1)  # [2, N, P]
         start = self._tiles.origin_w.T[:2, :, None]  # [2, N, 1]
         nearest = torch.minimum(torch.maximum(places, start + self._low), start + self._high)
-        own_x, own_y = places == nearest
-        self._valid = own_x & own_y
+        self._places, self._nearest = places, nearest
         self._heights_w = self._terrain.height(nearest.movedim(0, -1))
         self._scanned = root

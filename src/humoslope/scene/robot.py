@@ -46,7 +46,7 @@ class MeshSource:
     licence: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # hashed by identity: it is a key of caches that are asked at every step
 class Robot:
     """A legged robot, described once; every tuple over joints follows `joint_names`.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import torch
 from torch import Tensor
 
@@ -17,7 +19,8 @@ CONTACT_FORCE = 1.0
 
 class Signals:
     """What terms read of the world. `refresh` takes everything anew;
-    the tensors of the last refresh are never written again.
+    the tensors of the last refresh are never written again. What the policy does not observe is computed when first
+    asked for: a second refresh, after resets, then costs no more than it must.
 
     Frames: `_w` world, `_b` root body, `_t` along the ground:
     forward in the heading direction, left, and out of the slope.
@@ -25,12 +28,10 @@ class Signals:
     Attributes:
         joint_pos, joint_vel, joint_torque: [N, J] rad, rad/s, Nm.
         root_pos_w, root_quat_w, root_lin_vel_w, root_ang_vel_b: [N, 3 or 4].
-        root_lin_vel_b, root_lin_vel_t: [N, 3] m/s.
+        root_lin_vel_b: [N, 3] m/s.
         projected_gravity_b: [N, 3] unit vector of gravity in the root frame.
         heading_w: [N] yaw, rad.
         root_height: [N] root above the ground below it, m.
-        slope_normal_w: [N, 3] of the ground below the root, at the scale of a step.
-        slope_pitch: [N] inclination of the ground in the heading direction, rad, positive uphill.
         torso_quat_w, torso_ang_vel_w: [N, 4], [N, 3] rad/s.
         com_pos_w, com_lin_vel_w: [N, 3] of the whole robot.
         com_height: [N] centre of mass above the ground below it, m.
@@ -39,7 +40,6 @@ class Signals:
         foot_force: [N, 2] its magnitude, N.
         foot_height: [N, 2] sole centre above the ground below it, m.
         foot_contact: [N, 2] bool.
-        body_force: [N] ground force on everything but the feet, N.
     """
 
     def __init__(self, sim: Simulation, robot: Robot, terrain: TerrainQueries) -> None:
@@ -91,8 +91,7 @@ class Signals:
         self.foot_force_w = feet("foot_force_w")
         self.foot_force = self.foot_force_w.norm(dim=2)
         self.foot_contact = self.foot_force > CONTACT_FORCE
-        self._body_force_w = data[:, take["robot_force_w"]] - self.foot_force_w.sum(dim=1)
-        self.body_force = self._body_force_w.norm(dim=1)
+        self._robot_force_w = data[:, take["robot_force_w"]]
         self._shin_force_w = feet("shin_force_w")
 
         rotation = quaternion.matrix(self.root_quat_w)  # [N, 3, 3]
@@ -109,26 +108,66 @@ class Signals:
         ground = self._terrain.height(places)
         height = points[:, :, 2] - ground[:, :4]
         self.root_height, self.com_height, self.foot_height = height[:, 0], height[:, 1], height[:, 2:]
-        self.slope_normal_w = n = self._terrain.slope_normal(ground[:, 4:])
-        heading = torch.stack([self.heading_w.cos(), self.heading_w.sin()], dim=1)  # [N, 2]
-        # The forward direction is the one in the tangent plane that lies over the heading:
-        # its rise follows from n . t = 0.
-        rise = -(n[:, :2] * heading).sum(dim=1) / n[:, 2]
-        self.slope_pitch = torch.atan(rise)
-        over = torch.cat([heading, rise[:, None]], dim=1)
-        forward = over / over.norm(dim=1, keepdim=True)
-        self._along_ground = torch.stack([forward, torch.linalg.cross(n, forward), n], dim=1)  # [N, 3, 3]
-        self.root_lin_vel_t = self.along_ground(self.root_lin_vel_w)
+        self._ground_around = ground[:, 4:]
+        for name in _ON_DEMAND:
+            self.__dict__.pop(name, None)
 
-    @property
+    @cached_property
+    def slope_normal_w(self) -> Tensor:
+        """[N, 3] unit normal of the ground below the root, at the scale of a step."""
+        return self._terrain.slope_normal(self._ground_around)
+
+    @cached_property
+    def slope_pitch(self) -> Tensor:
+        """[N] inclination of the ground in the heading direction, rad, positive uphill."""
+        return torch.atan(self._rise)
+
+    @cached_property
+    def root_lin_vel_t(self) -> Tensor:
+        """[N, 3] m/s."""
+        return self.along_ground(self.root_lin_vel_w)
+
+    @cached_property
+    def body_force(self) -> Tensor:
+        """[N] ground force on everything but the feet, N."""
+        return self._body_force_w.norm(dim=1)
+
+    @cached_property
     def upper_force(self) -> Tensor:
-        """[N] ground force on everything but feet and shins, N; computed when asked for."""
+        """[N] ground force on everything but feet and shins, N."""
         return (self._body_force_w - self._shin_force_w.sum(dim=1)).norm(dim=1)
 
     def along_ground(self, v: Tensor) -> Tensor:
         """Vectors `v` [N, 3] of the world frame, in the slope frame of the robot's heading:
         forward, left, out of the ground."""
         return (self._along_ground * v[:, None]).sum(dim=2)
+
+    @cached_property
+    def _body_force_w(self) -> Tensor:
+        return self._robot_force_w - self.foot_force_w.sum(dim=1)
+
+    @cached_property
+    def _over_ground(self) -> Tensor:
+        """[N, 2] the heading as a horizontal unit vector."""
+        return torch.stack([self.heading_w.cos(), self.heading_w.sin()], dim=1)
+
+    @cached_property
+    def _rise(self) -> Tensor:
+        """[N] rise of the ground per metre along the heading. A direction t that lies over the heading is in the
+        tangent plane if n . t = 0."""
+        n = self.slope_normal_w
+        return -(n[:, :2] * self._over_ground).sum(dim=1) / n[:, 2]
+
+    @cached_property
+    def _along_ground(self) -> Tensor:
+        """[N, 3, 3] rows: forward, left, out of the ground."""
+        over = torch.cat([self._over_ground, self._rise[:, None]], dim=1)
+        forward = over / over.norm(dim=1, keepdim=True)
+        n = self.slope_normal_w
+        return torch.stack([forward, torch.linalg.cross(n, forward), n], dim=1)
+
+
+_ON_DEMAND = [name for name, value in vars(Signals).items() if isinstance(value, cached_property)]
 
 
 def _fresh(reading: Tensor, broken: Tensor | None) -> Tensor:

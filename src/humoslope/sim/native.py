@@ -38,6 +38,8 @@ class NativeSimulation:
         self._rows: NDArray[np.float64] = self._batch.bind("state")  # [N, nstate]
         self._fresh = _initial_state(model)
         self._state = {field: self._batch.bind(field) for field in STATE_FIELDS}
+        # In a row qpos and qvel stand together, after the time.
+        self._motion = torch.from_numpy(self._rows)[:, 1 : 1 + model.nq + model.nv]
         self._expanded: dict[str, Tensor] = {}
         self._warning: NDArray[np.int32] = self._batch.bind("warning")  # [N, kind, (last info, count)]
         # Times a buffer was full in runs that were reset since, and times that were reported.
@@ -104,12 +106,15 @@ class NativeSimulation:
         """See `Simulation.known_empty`."""
         return not mask.numpy().any()
 
+    def known_rows(self, mask: Tensor) -> Tensor | slice:
+        """See `Simulation.known_rows`."""
+        return mask.nonzero().squeeze(1)
+
     def diverged(self) -> Tensor:
         """See `Simulation.diverged`."""
         bad = self._warning[:, _FIRST_BAD:, 1].any(axis=1)
         # A NaN anywhere makes the sum NaN; only the last physics step of a call can leave one uncounted.
-        total = self._state["qpos"].sum(axis=1) + self._state["qvel"].sum(axis=1)
-        return torch.from_numpy(bad | ~np.isfinite(total))
+        return torch.from_numpy(bad) | ~self._motion.sum(dim=1).isfinite()
 
     def warnings(self) -> list[str]:
         """See `Simulation.warnings`. Both buffers live in the model's arena, whose size is `<size memory="...">`."""

@@ -82,6 +82,11 @@ class Simulation(Protocol):
         """
         ...
 
+    def known_rows(self, mask: Tensor) -> Tensor | slice:
+        """An index of the worlds to work on so that those in `mask` [N] are among them, without waiting for the device:
+        they alone where the worlds live on the host, all worlds on a GPU."""
+        ...
+
     def diverged(self) -> Tensor:
         """Worlds [N] (bool) that went numerically wrong since they were last reset."""
         ...

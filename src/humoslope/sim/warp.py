@@ -135,6 +135,10 @@ class WarpSimulation:
         """See `Simulation.known_empty`. Looking would wait for the device."""
         return False
 
+    def known_rows(self, mask: Tensor) -> Tensor | slice:
+        """See `Simulation.known_rows`."""
+        return slice(None)
+
     def diverged(self) -> Tensor:
         """See `Simulation.diverged`. Nothing puts a broken world right but a reset, so its state tells."""
         fine = self._qpos.abs().amax(dim=1) <= _LARGEST  # false for NaN

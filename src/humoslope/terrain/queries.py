@@ -11,9 +11,8 @@ from humoslope.terrain.grid import Terrain
 class TerrainQueries:
     """Batched lookups on a terrain; nothing waits for the device.
 
-    MuJoCo splits every cell along the diagonal from the corner low in x and y to the one high in both. With hi and lo
-    the larger and the smaller fraction of the cell crossed in x and y, and m the corner on the point's side of it,
-    h = h00 + hi (m - h00) + lo (h11 - m).
+    MuJoCo splits every cell along the diagonal from the corner low in x and y to the one high in both. A table holds
+    the plane of each triangle: the height of that low corner, and the rise over a cell along x and along y.
 
     Points beyond the field read the height at its edge; a NaN coordinate gives NaN.
     """
@@ -21,15 +20,12 @@ class TerrainQueries:
     def __init__(self, terrain: Terrain, device: torch.device | str) -> None:
         self.cell = terrain.cell
         rows, self._cols = terrain.heights.shape
-        self._heights = torch.as_tensor(terrain.heights, device=device).flatten()
         # x / cell + shift is the place in units of cells.
         shift = [[-axis / terrain.cell] for axis in terrain.origin]
         self._shift = torch.tensor(shift, dtype=torch.float32, device=device)  # [2, 1]
         edge = torch.tensor([[rows - 1.0], [self._cols - 1.0]], device=device)
-        self._places = torch.zeros_like(edge), edge  # first and last place, [2, 1] each
-        self._cells = torch.zeros_like(edge, dtype=torch.int32), (edge - 1.0).to(torch.int32)
-        # From the corner low in x and y to the middle one, if x or if y is crossed further, in the flat table.
-        self._next_row, self._next_column = torch.tensor([self._cols, 1], dtype=torch.int32, device=device)
+        self._low, self._high = torch.zeros_like(edge), edge  # [2, 1] first and last place
+        self._planes = _planes(torch.as_tensor(terrain.heights, device=device))  # [2 R C, 3]
         self._sides = torch.tensor([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]], device=device)
 
     def height(self, xy: Tensor) -> Tensor:
@@ -38,10 +34,8 @@ class TerrainQueries:
 
     def normal(self, xy: Tensor) -> Tensor:
         """Unit normal of the triangle at world points xy [..., 2], shape [..., 3], world frame."""
-        _, along_x, (low, mid, high) = self._triangle(_axes_first(xy))
-        first, second = low - mid, mid - high  # minus the rise along the first and the second axis crossed
-        slope = torch.stack((torch.where(along_x, first, second), torch.where(along_x, second, first)), dim=-1)
-        return _upward(slope.view(xy.shape), self.cell)
+        _, plane = self._plane(_axes_first(xy))
+        return _upward(-plane[:, 1:].view(xy.shape), self.cell)
 
     def around(self, xy: Tensor, radius: float = 0.4) -> Tensor:
         """The points [..., 4, 2] whose heights `slope_normal` needs: `radius` m to each side of xy [..., 2]."""
@@ -55,22 +49,38 @@ class TerrainQueries:
         return _upward(heights[..., 0::2] - heights[..., 1::2], 2.0 * radius)
 
     def _height(self, xy: Tensor) -> Tensor:
-        fraction, _, (low, mid, high) = self._triangle(xy)
-        inner = torch.addcmul(low, torch.maximum(*fraction), mid - low)
-        return inner.addcmul_(torch.minimum(*fraction), high - mid)
+        fraction, plane = self._plane(xy)
+        corner, along_x, along_y = plane.unbind(dim=1)
+        return corner.addcmul(fraction[0], along_x).addcmul_(fraction[1], along_y)
 
-    def _triangle(self, xy: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Fractions [2, M] of the cell at xy [2, M], whether x is crossed further [M], and the heights [3, M] at the
-        triangle's corners."""
-        place = xy.div(self.cell).add_(self._shift).clamp_(*self._places)
-        # Clamped once more as integers: NaN passes the first clamp, and must not read outside the table.
-        cell = place.to(torch.int32).clamp_(*self._cells)
+    def _plane(self, xy: Tensor) -> tuple[Tensor, Tensor]:
+        """How far its cell is crossed at xy [2, M], shares [2, M], and the plane there [M, 3]."""
+        place = torch.add(self._shift, xy, alpha=1.0 / self.cell)
+        # On the CPU several times as fast as `torch.clamp`, whose bounds would be tensors.
+        place = torch.minimum(torch.maximum(place, self._low), self._high)
+        cell = place.to(torch.int32)
         fraction = place.sub_(cell)
-        along_x = fraction[0] >= fraction[1]
-        low = torch.add(cell[1], cell[0], alpha=self._cols)
-        mid = torch.where(along_x, self._next_row, self._next_column).add_(low)
-        corners = torch.stack((low, mid, low + (self._cols + 1)))
-        return fraction, along_x, self._heights.index_select(0, corners.flatten()).view(corners.shape)
+        index = torch.add(cell[1], cell[0], alpha=self._cols)
+        index = torch.add(fraction[0] >= fraction[1], index, alpha=2)
+        # NaN passes the first clamp, and must not read outside the table.
+        return fraction, self._planes.index_select(0, index.clamp_(0, len(self._planes) - 1))
+
+
+def _planes(heights: Tensor) -> Tensor:
+    """The triangles of a height field [R, C], [2 R C, 3]: cell by cell the one along y, then the one along x.
+
+    Of the cells that begin at its last row or column, which no point enters, only the corner counts; their slopes are
+    those of the cells before them.
+    """
+    wide = torch.nn.functional.pad(heights[None], (0, 1, 0, 1), mode="replicate")[0]
+    low, high = wide[:-1, :-1], wide[1:, 1:]
+    across, along = wide[:-1, 1:], wide[1:, :-1]  # the middle corner of the triangle along y, and along x
+    # [R, C, 4] along x and y, of the one triangle and of the other
+    rises = torch.stack((high - across, across - low, along - low, high - along), dim=2)
+    rises[-1] = rises[-2]
+    rises[:, -1] = rises[:, -2]
+    corner = low[:, :, None].expand(-1, -1, 2)
+    return torch.stack((corner, rises[:, :, 0::2], rises[:, :, 1::2]), dim=3).view(-1, 3)
 
 
 def _axes_first(xy: Tensor) -> Tensor:
