@@ -8,7 +8,7 @@ need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve record replay video meshes \
-  export play terrain list bench test lint types check format clean
+  export play terrain list bench reproduce test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -76,6 +76,9 @@ list: $(STAMP) ## List the registered tasks and terrains
 
 bench: $(STAMP) ## Measure speed and memory of Stage I; ARGS="--checkpoint ..." with robots that walk
 	$(BIN)/humoslope bench HumoSlope-Stage1-Unitree-G1 $(ARGS)
+
+reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two cores; experiments/reproduce.mk states it
+	@$(MAKE) -f experiments/reproduce.mk BIN=$(BIN) $(ARGS)
 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
 	$(BIN)/python -m pytest $(or $(ARGS),--cov --cov-report=term:skip-covered --cov-fail-under=85)
