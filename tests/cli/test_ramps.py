@@ -66,6 +66,16 @@ def test_figures_land_beside_the_newest_checkpoint_of_a_run(
     assert figures["ramps"][0]["falls"]["count"] == 0
 
 
+def test_a_run_walks_with_the_options_it_was_trained_with(
+    untrained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(shutil.copy(untrained, tmp_path))
+    (tmp_path / "options.txt").write_text("--preset cpu --env.actions.scale-factor 0.5")
+    figures, _ = walk(path, capsys)
+    assert figures["environment"]["actions"]["scale_factor"] == 0.5
+    assert figures["physics"]["timestep"] == 0.005  # measured, not trained
+
+
 def test_the_same_seed_gives_the_same_figures(
     untrained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from humoslope.cli.measure import describe, introduce, walking, warn
+from humoslope.cli.measure import describe, introduce, trained, walking, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.calibration import Fit, SwingFit, gather, solve, table
@@ -21,8 +21,7 @@ from humoslope.evaluation.ramps import ramp_env_cfg
 from humoslope.evaluation.swing_walk import SwingProtocol, walk
 from humoslope.files import check_place
 from humoslope.mdp.selection import joint_pair
-from humoslope.registry import build_task, load_content
-from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
+from humoslope.rl.policy import load_actor
 from humoslope.rl.rundir import plain
 from humoslope.slope.swing import PRIOR
 
@@ -47,9 +46,8 @@ class Options:
 def run(arguments: list[str]) -> None:
     """Calibrates on the checkpoint named in `arguments`."""
     options = tyro.cli(Options, args=arguments, prog="humoslope calibrate")
-    load_content()
-    path = find_checkpoint(options.checkpoint)
-    provenance = read_provenance(path)
+    provenance, task = trained(options.checkpoint)
+    path = provenance.path
     out = options.out or calibration_path(path)
     check_place(out)
     picture = out.with_suffix(".png")
@@ -60,7 +58,7 @@ def run(arguments: list[str]) -> None:
     check_place(picture)
 
     protocol, fit, console = options.protocol, options.fit, Console()
-    cfg = ramp_env_cfg(build_task(provenance.task).env, protocol)
+    cfg = ramp_env_cfg(task.env, protocol)
     joint_pair(cfg.scene.robot, protocol.hip)  # a mistaken pattern is said before anything is built
     env = ManagerBasedRlEnv(cfg)
     actor = load_actor(path, env, provenance.task)

@@ -19,7 +19,7 @@ from rich.live import Live
 from torch import Tensor
 
 import humoslope
-from humoslope.cli.measure import warn
+from humoslope.cli.measure import trained, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation import saved
@@ -32,8 +32,8 @@ from humoslope.evaluation.results import read_report, tell
 from humoslope.evaluation.sweep import ENOUGH, SlopeLimit, slope_limit
 from humoslope.evaluation.tables import ablation_table, cells_table, diagnostics_table, main_table
 from humoslope.files import check_place, write_text
-from humoslope.registry import build_task, load_content
-from humoslope.rl.policy import Provenance, find_checkpoint, load_actor, read_provenance
+from humoslope.registry import TaskCfg
+from humoslope.rl.policy import Provenance, load_actor
 from humoslope.rl.rundir import git_state, plain
 
 REFRESH_S = 2.0
@@ -71,13 +71,13 @@ def run(arguments: list[str]) -> None:
     protocol = sweep_protocol() if "--sweep" in arguments else HeldOutProtocol()
     default = Options(checkpoints=tyro.MISSING, protocol=protocol)
     options = tyro.cli(Options, args=arguments, prog="humoslope evaluate", default=default)
-    load_content()
     if not options.checkpoints:
         raise UserError("evaluate needs a checkpoint, such as logs/.../model_1000.pt.")
     if options.lanes < 1:
         raise UserError(f"evaluate: lanes is {options.lanes}; each cell needs at least 1.")
     options.protocol.find_course()
-    sources = [read_provenance(find_checkpoint(path)) for path in options.checkpoints]
+    found = [trained(path) for path in options.checkpoints]
+    sources = [source for source, _ in found]
     for i, source in enumerate(sources):
         if source.sha256 in (other.sha256 for other in sources[:i]):
             raise UserError(f"evaluate: checkpoint '{source.path}' is given twice; its trials would count twice.")
@@ -88,8 +88,8 @@ def run(arguments: list[str]) -> None:
     evaluations: list[_Evaluation] = []
     interrupted = False
     with _interruptible() as stopped:
-        for source in sources:
-            evaluation = _Evaluation(source, options, out, console)
+        for source, task in found:
+            evaluation = _Evaluation(source, task, options, out, console)
             evaluations.append(evaluation)
             interrupted = not evaluation.walk(stopped)
             if interrupted:
@@ -107,11 +107,11 @@ class _Evaluation:
         seconds: Wall clock.
     """
 
-    def __init__(self, source: Provenance, options: Options, out: Path, console: Console) -> None:
+    def __init__(self, source: Provenance, task: TaskCfg, options: Options, out: Path, console: Console) -> None:
         self.source, self.protocol, self._console = source, options.protocol, console
         course = options.protocol.find_course()
         relay = Relay(options.protocol, course, options.lanes)
-        cfg = held_out_env_cfg(build_task(source.task).env, relay)
+        cfg = held_out_env_cfg(task.env, relay)
         self._mark = saved.fingerprint(cfg, relay, source.sha256)
         self._path = _beside(out, f".{self._mark[:8]}.npz")
         if not options.fresh:

@@ -8,14 +8,13 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
-from humoslope.cli.options import trained_task
+from humoslope.cli.measure import trained
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.files import check_place
 from humoslope.play.contract import FILE
-from humoslope.registry import load_content
 from humoslope.rl.export import DEPLOY, MODEL, ONNX, export, record_observations
-from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
+from humoslope.rl.policy import load_actor
 
 WALK = RampProtocol(grades=(0.0, 20.0, -20.0), starts=2, seconds=2.0)
 """What is walked to compare the network with the actor on what it sees there."""
@@ -38,18 +37,15 @@ class Options:
 def run(arguments: list[str]) -> None:
     """Exports the checkpoint named in `arguments`."""
     options = tyro.cli(Options, args=arguments, prog="humoslope export")
-    load_content()
-    path = find_checkpoint(options.checkpoint)
-    provenance = read_provenance(path)
-    folder = options.out or path.with_suffix(".export")
+    provenance, task = trained(options.checkpoint)
+    folder = options.out or provenance.path.with_suffix(".export")
     for file in (FILE, MODEL, ONNX, DEPLOY):
         check_place(folder / file)
 
     console = Console()
     console.print(f"{provenance.task}, iteration {provenance.iteration}: walking, translating", soft_wrap=True)
-    task = trained_task(path, provenance.task)
     env = ManagerBasedRlEnv(ramp_env_cfg(task.env, WALK))
-    actor = load_actor(path, env, provenance.task)
+    actor = load_actor(provenance.path, env, provenance.task)
     result = export(actor, env, task.env, record_observations(env, actor, WALK.seconds), folder)
     network = result.contract.network
     console.print(

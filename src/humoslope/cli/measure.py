@@ -5,19 +5,33 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 import humoslope
+from humoslope.cli.options import trained_task
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol
-from humoslope.rl.policy import Provenance
+from humoslope.registry import TaskCfg, load_content
+from humoslope.rl.policy import Provenance, find_checkpoint, read_provenance
 from humoslope.rl.rundir import git_state, plain
 
 MEASURED = ("actions", "command", "observations", "terminations", "events")
 """What the written figures say of the environment."""
+
+
+def trained(checkpoint: Path) -> tuple[Provenance, TaskCfg]:
+    """What a checkpoint, or the newest one of a run folder, says of itself, and the task as it was trained.
+
+    Raises:
+        UserError: If it is no checkpoint, or of a task that is not registered.
+    """
+    load_content()
+    provenance = read_provenance(find_checkpoint(checkpoint))
+    return provenance, trained_task(provenance.path, provenance.task)
 
 
 def introduce(console: Console, env: ManagerBasedRlEnv, provenance: Provenance, protocol: RampProtocol) -> None:

@@ -11,12 +11,11 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from humoslope.cli.measure import describe, introduce, walking, warn
+from humoslope.cli.measure import describe, introduce, trained, walking, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, summarise, table, walk
 from humoslope.files import check_place, write_text
-from humoslope.registry import build_task, load_content
-from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
+from humoslope.rl.policy import load_actor
 from humoslope.rl.rundir import plain
 
 
@@ -38,15 +37,13 @@ class Options:
 def run(arguments: list[str]) -> None:
     """Evaluates the checkpoint named in `arguments`."""
     options = tyro.cli(Options, args=arguments, prog="humoslope ramps")
-    load_content()
-    path = find_checkpoint(options.checkpoint)
-    provenance = read_provenance(path)
-    out = options.out or path.with_suffix(".ramps.json")
+    provenance, task = trained(options.checkpoint)
+    out = options.out or provenance.path.with_suffix(".ramps.json")
     check_place(out)
 
     protocol, console = options.protocol, Console()
-    env = ManagerBasedRlEnv(ramp_env_cfg(build_task(provenance.task).env, protocol))
-    actor = load_actor(path, env, provenance.task)
+    env = ManagerBasedRlEnv(ramp_env_cfg(task.env, protocol))
+    actor = load_actor(provenance.path, env, provenance.task)
     introduce(console, env, provenance, protocol)
     started = time.monotonic()
     with walking(console, env, protocol.seconds) as on_step:

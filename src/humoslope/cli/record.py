@@ -10,12 +10,11 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from humoslope.cli.measure import warn
+from humoslope.cli.measure import trained, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.files import check_place
-from humoslope.registry import build_task, load_content
 from humoslope.replay.record import RecordProtocol, record, record_env_cfg, signed
-from humoslope.rl.policy import find_checkpoint, load_actor, read_provenance
+from humoslope.rl.policy import load_actor
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,13 +37,13 @@ class Options:
 def run(arguments: list[str]) -> None:
     """Records the checkpoint named in `arguments`."""
     options = tyro.cli(Options, args=arguments, prog="humoslope record")
-    load_content()
-    path, protocol, console = find_checkpoint(options.checkpoint), options.protocol, Console()
-    provenance = read_provenance(path)
+    protocol, console = options.protocol, Console()
+    provenance, task = trained(options.checkpoint)
+    path = provenance.path
     grade = protocol.resolve_grade()
     out = options.out or path.with_name(f"{path.stem}.{protocol.terrain}-{grade:g}.rollout.npz")
     check_place(out)
-    env = ManagerBasedRlEnv(record_env_cfg(build_task(provenance.task).env, protocol))
+    env = ManagerBasedRlEnv(record_env_cfg(task.env, protocol))
     actor = load_actor(path, env, provenance.task)
     console.print(
         f"{provenance.task}, iteration {provenance.iteration}: {protocol.terrain} at {grade:g}°, "
