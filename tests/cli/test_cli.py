@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -48,6 +49,22 @@ def test_a_user_sees_one_sentence_and_exit_code_2(folder):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "humoslope: verb 'tran' does not exist; did you mean 'train'?\n"
     assert content(folder) == {}
+
+
+@pytest.mark.parametrize(
+    ("verb", "options", "written"),
+    [
+        ("ramps", ["--starts", "1", "--seconds", "0.1", "--grades", "0"], "ramps.json"),
+        ("evaluate", ["--trials", "1", "--grades", "0", "--lanes", "1", "--timeout-s", "0.1"], "heldout.json"),
+        ("record", ["--terrain", "ramp-up", "--grade", "5", "--seconds", "0.1"], "ramp-up-5.rollout.npz"),
+    ],
+)
+def test_a_policy_walks_in_a_process_of_its_own(folder, untrained, verb, options, written):
+    """Nothing else has loaded robots, terrains and tasks there."""
+    shutil.copy(untrained, "model_0.pt")
+    done = user(verb, "model_0.pt", *options)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (folder / f"model_0.{written}").is_file()
 
 
 @pytest.mark.parametrize(

@@ -75,8 +75,8 @@ def run(arguments: list[str]) -> None:
         raise UserError("evaluate needs a checkpoint, such as logs/.../model_1000.pt.")
     if options.lanes < 1:
         raise UserError(f"evaluate: lanes is {options.lanes}; each cell needs at least 1.")
-    options.protocol.find_course()
     found = [trained(path) for path in options.checkpoints]
+    options.protocol.find_course()
     sources = [source for source, _ in found]
     for i, source in enumerate(sources):
         if source.sha256 in (other.sha256 for other in sources[:i]):
