@@ -99,6 +99,8 @@ class Signals:
         self.root_lin_vel_b = (rotation * self.root_lin_vel_w[:, :, None]).sum(dim=1)
         self.heading_w = torch.atan2(rotation[:, 1, 0], rotation[:, 0, 0])
         self._refresh_ground()
+        for name in _ON_DEMAND:
+            self.__dict__.pop(name, None)
 
     def _refresh_ground(self) -> None:
         root = self.root_pos_w[:, None]
@@ -109,8 +111,6 @@ class Signals:
         height = points[:, :, 2] - ground[:, :4]
         self.root_height, self.com_height, self.foot_height = height[:, 0], height[:, 1], height[:, 2:]
         self._ground_around = ground[:, 4:]
-        for name in _ON_DEMAND:
-            self.__dict__.pop(name, None)
 
     @cached_property
     def slope_normal_w(self) -> Tensor:
@@ -124,7 +124,7 @@ class Signals:
 
     @cached_property
     def root_lin_vel_t(self) -> Tensor:
-        """[N, 3] m/s."""
+        """[N, 3] velocity of the root along the ground, m/s."""
         return self.along_ground(self.root_lin_vel_w)
 
     @cached_property
