@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 
 LISTED = 20
@@ -27,3 +28,17 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     listed = ", ".join(names[:LISTED]) or "none"
     hint = f"did you mean '{near[0]}'?" if near else f"there are: {listed}{more}."
     return UserError(f"{kind} '{name}' does not exist; {hint}")
+
+
+def require_positive(who: str, **values: float) -> None:
+    """Raises a `UserError` that names the first value of `who` that is not a positive number."""
+    for name, value in values.items():
+        if not 0.0 < value < math.inf:
+            raise UserError(f"{who}: {name} is {value:g}; it must be positive.")
+
+
+def require_not_negative(who: str, **values: float) -> None:
+    """Raises a `UserError` that names the first value of `who` that is not a number from zero up."""
+    for name, value in values.items():
+        if not 0.0 <= value < math.inf:
+            raise UserError(f"{who}: {name} is {value:g}; it must be 0 or more.")

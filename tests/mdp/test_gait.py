@@ -461,9 +461,9 @@ def test_every_term_is_the_same_in_the_mirror(make_env, pose, name):
 @pytest.mark.parametrize(
     ("term", "params", "message"),
     [
-        (gait.ComHeight, {"nominal": 0.0}, r"com height: nominal 0 must be positive"),
-        (gait.Stride, {"std": -0.1}, r"stride: std -0\.1 must be positive"),
-        (gait.HipPropulsion, {"memory_s": 0.0}, r"memory_s 0 must be positive"),
+        (gait.ComHeight, {"nominal": 0.0}, r"com height: nominal is 0; it must be positive"),
+        (gait.Stride, {"std": -0.1}, r"stride: std is -0\.1; it must be positive"),
+        (gait.HipPropulsion, {"memory_s": 0.0}, r"memory_s is 0; it must be positive"),
         (gait.SwingHip, {**SWING, "hip": "left_hip.*"}, r"one left and one right joint .* it matches left_hip_pitch_j"),
         (gait.KneeBraking, {"knee": ".*_kne_joint"}, r"'\.\*_kne_joint' must match .* it matches nothing"),
         (gait.KneeBraking, {"ankle": ".*ankle.*"}, r"it matches left_ankle_pitch_joint, left_ankle_roll_joint, right"),

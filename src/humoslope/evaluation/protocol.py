@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from humoslope.errors import UserError
+from humoslope.errors import UserError, require_not_negative, require_positive
 from humoslope.terrain import course
 from humoslope.terrain.course import Course
 
@@ -74,12 +74,21 @@ class HeldOutProtocol:
                 raise UserError(f"evaluate: {name} are {list(values)}; give one or more, each once.")
             if not all(0.0 <= value < math.inf for value in values):
                 raise UserError(f"evaluate: {name} are {list(values)}; each must be 0 or more.")
-        for name in ("speed", "success_place", "timeout_s", "fall_contact_s", "timestep"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise UserError(f"evaluate: {name} is {getattr(self, name):g}; it must be positive.")
-        for name in ("start_along", "start_yaw", "start_joints", "seed"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise UserError(f"evaluate: {name} is {getattr(self, name):g}; it must be 0 or more.")
+        require_positive(
+            "evaluate",
+            speed=self.speed,
+            success_place=self.success_place,
+            timeout_s=self.timeout_s,
+            fall_contact_s=self.fall_contact_s,
+            timestep=self.timestep,
+        )
+        require_not_negative(
+            "evaluate",
+            start_along=self.start_along,
+            start_yaw=self.start_yaw,
+            start_joints=self.start_joints,
+            seed=self.seed,
+        )
         if self.trials < 1:
             raise UserError(f"evaluate: trials is {self.trials}; each cell needs at least 1.")
 

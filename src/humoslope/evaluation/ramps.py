@@ -19,7 +19,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.errors import UserError
+from humoslope.errors import UserError, require_not_negative, require_positive
 from humoslope.evaluation.physics import measuring_physics
 from humoslope.evaluation.rollout import roll
 from humoslope.evaluation.statistics import Array, Proportion, mean, proportion
@@ -81,12 +81,14 @@ class RampProtocol:
                 raise UserError(f"ramps: grade {grade:g} must be between {-STEEPEST:g} and {STEEPEST:g} degrees.")
         if self.starts < 1:
             raise UserError(f"ramps: starts is {self.starts}; each ramp needs at least 1.")
-        for name in ("speed", "seconds", "timestep"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise UserError(f"ramps: {name} is {getattr(self, name):g}; it must be positive.")
-        for name in ("friction", "friction_margin", "fall_height", "fall_tilt"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise UserError(f"ramps: {name} is {getattr(self, name):g}; it must be 0 or more.")
+        require_positive("ramps", speed=self.speed, seconds=self.seconds, timestep=self.timestep)
+        require_not_negative(
+            "ramps",
+            friction=self.friction,
+            friction_margin=self.friction_margin,
+            fall_height=self.fall_height,
+            fall_tilt=self.fall_tilt,
+        )
         if self.tile_length > LONGEST:
             raise UserError(
                 f"ramps: {self.speed:g} m/s for {self.seconds:g} s needs {self.tile_length:g} m of ground; "

@@ -15,7 +15,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import ManagerBasedRlEnv
-from humoslope.errors import UserError
+from humoslope.errors import UserError, require_positive
 from humoslope.evaluation.ramps import APPROACH, RampProtocol
 from humoslope.evaluation.rollout import roll
 from humoslope.evaluation.statistics import Array
@@ -56,9 +56,7 @@ class SwingProtocol(RampProtocol):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("swing_force", "speed_tolerance"):
-            if not getattr(self, name) > 0.0:
-                raise UserError(f"calibration: {name} is {getattr(self, name):g}; it must be positive.")
+        require_positive("calibration", swing_force=self.swing_force, speed_tolerance=self.speed_tolerance)
         if not 0.0 <= self.swing_settle <= self.swing_longest:
             raise UserError(
                 f"calibration: a swing from {self.swing_settle:g} to {self.swing_longest:g} s after lift-off "

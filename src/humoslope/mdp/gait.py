@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from humoslope.errors import require_positive
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp.gait_memory import (
     MEMORY,
@@ -26,7 +27,6 @@ from humoslope.mdp.gait_memory import (
     Progress,
     StanceWork,
     Swing,
-    require_positive,
 )
 from humoslope.mdp.selection import joint_pair
 from humoslope.slope import bsga

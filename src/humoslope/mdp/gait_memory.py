@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import torch
 from torch import Tensor
 
-from humoslope.errors import UserError
+from humoslope.errors import require_positive
 from humoslope.mdp.selection import joint_pair
 from humoslope.slope import bsga
 
@@ -119,10 +119,3 @@ def _gain(env: Env, memory_s: float) -> float:
     """Weight of a new sample in an exponential moving average with this time constant, s."""
     require_positive("moving average", memory_s=memory_s)
     return 1.0 - math.exp(-env.step_dt / memory_s)
-
-
-def require_positive(term: str, **values: float) -> None:
-    """Raises a `UserError` that names the first parameter of `term` that is not a positive number."""
-    for name, value in values.items():
-        if not 0.0 < value < math.inf:
-            raise UserError(f"{term}: {name} {value:g} must be positive.")

@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.errors import UserError
+from humoslope.errors import UserError, require_not_negative, require_positive
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.managers import EventTerm, RewardTerm, Terms
 from humoslope.mdp.balance import ZmpRegulariser
@@ -70,12 +70,10 @@ class RecordProtocol:
             raise UserError("record: give a grade or a level, not both.")
         if self.level is not None and not 0.0 <= self.level <= 1.0:
             raise UserError(f"record: level {self.level:g} must be between 0 and 1.")
-        for name in ("seconds", "speed", "push_every", "timestep"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise UserError(f"record: {name} is {getattr(self, name):g}; it must be positive.")
-        for name in ("push", "friction", "friction_margin"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise UserError(f"record: {name} is {getattr(self, name):g}; it must be 0 or more.")
+        require_positive(
+            "record", seconds=self.seconds, speed=self.speed, push_every=self.push_every, timestep=self.timestep
+        )
+        require_not_negative("record", push=self.push, friction=self.friction, friction_margin=self.friction_margin)
 
     def resolve_grade(self) -> float:
         """The grade in degrees.
