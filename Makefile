@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
-RESULTS ?= experiments/results/heldout
+RESULTS ?= experiments/results/heldout experiments/results/sweep
 ROLLOUT ?= experiments/rollouts/stage1_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 

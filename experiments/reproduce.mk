@@ -21,9 +21,9 @@ train = $(BIN)/humoslope train $(2) $(if $(wildcard $(OUT)/$(1)/model_*.pt),--re
 .PRECIOUS: $(OUT)/%/$(LAST)
 .PHONY: campaign
 campaign: $(OUT)/ramps.json $(HELD_OUT) $(SWEEP)
-	$(BIN)/humoslope table 1 $(OUT)/heldout --out $(OUT)/table1
-	$(BIN)/humoslope table 2 $(OUT)/heldout --out $(OUT)/table2
-	$(BIN)/humoslope figures $(OUT)/heldout --out $(OUT)/figures
+	$(BIN)/humoslope table 1 $(OUT)/heldout $(OUT)/sweep --out $(OUT)/table1
+	$(BIN)/humoslope table 2 $(OUT)/heldout $(OUT)/sweep --out $(OUT)/table2
+	$(BIN)/humoslope figures $(OUT)/heldout $(OUT)/sweep --out $(OUT)/figures
 
 $(OUT)/stage1/$(LAST):
 	$(call train,stage1,HumoSlope-Stage1-Unitree-G1)
