@@ -19,7 +19,7 @@ from humoslope.managers import EventTerm, ObservationGroup, ObservationTerm, Rew
 from humoslope.mdp import curricula, gait, observations
 from humoslope.registry import TaskCfg, WarmStart, task
 from humoslope.rl.config import AgentCfg
-from humoslope.slope.bsga import COM_STD, branch_weights
+from humoslope.slope.bsga import branch_weights
 from humoslope.slope.swing import PRIOR
 from robots.unitree_g1 import UNITREE_G1
 from tasks.stage1 import actor_group, base_rewards, critic_group, falls, randomisation
@@ -47,7 +47,7 @@ def rewards_with_bsga() -> Terms[RewardTerm]:
     rewards.root_height = None  # r_com asks for a height that fits the slope
     weight = branch_weights()
     swing = {"beta0": PRIOR.beta0, "beta1": PRIOR.beta1, "theta_clip": PRIOR.theta_clip}
-    rewards.com_height = RewardTerm(gait.ComHeight, {"nominal": 0.69, "std": COM_STD}, weight=weight.com)
+    rewards.com_height = RewardTerm(gait.ComHeight, {"nominal": 0.69}, weight=weight.com)
     rewards.hip_propulsion = RewardTerm(gait.HipPropulsion, weight=weight.hip)
     rewards.knee_braking = RewardTerm(gait.KneeBraking, weight=weight.brake)
     rewards.stride = RewardTerm(gait.Stride, weight=weight.stride)

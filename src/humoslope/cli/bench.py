@@ -19,6 +19,7 @@ from rich.table import Table
 
 import humoslope
 from humoslope.cli.options import parse
+from humoslope.cores import usable_cores
 from humoslope.errors import UserError
 from humoslope.files import check_place, write_text
 from humoslope.registry import all_tasks, load_content
@@ -68,7 +69,7 @@ def run(arguments: list[str]) -> None:
     driver = f"the actor of {options.checkpoint}" if options.checkpoint else f"random actions of std {RANDOM_STD:g}"
     load = os.getloadavg()[0]
     console.print(
-        f"{task}, preset {options.preset}, driven by {driver}; {os.cpu_count()} cores, load {load:.1f} before.",
+        f"{task}, preset {options.preset}, driven by {driver}; {usable_cores()} cores, load {load:.1f} before.",
         soft_wrap=True,
         highlight=False,
     )
@@ -157,7 +158,7 @@ def _report(
         "options": typed,
         "driver": driver,
         "preset": options.preset,
-        "machine": {"platform": platform.platform(), "cores": os.cpu_count(), "load_before": load},
+        "machine": {"platform": platform.platform(), "cores": usable_cores(), "load_before": load},
         "unit": "control steps of all worlds per second; one value for each round",
         "sizes": [dataclasses.asdict(r) for r in results],
     }

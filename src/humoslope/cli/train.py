@@ -13,6 +13,7 @@ from rich.console import Console
 from humoslope.cli.options import early, parse, saved_options
 from humoslope.cli.overrides import merge_options
 from humoslope.cli.warm_start import Origin, find_origin
+from humoslope.cores import usable_cores
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.files import check_place
@@ -122,7 +123,7 @@ def _check_new(run_dir: Path) -> None:
 
 
 def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Path) -> None:
-    device = torch.cuda.get_device_name(env.device) if env.device.type == "cuda" else f"{os.cpu_count()} cores"
+    device = torch.cuda.get_device_name(env.device) if env.device.type == "cuda" else f"{usable_cores()} cores"
     sim = env.cfg.sim
     console.print(f"[bold]{task}[/bold] on {env.device} ({device}), physics '{env.sim.backend}'")
     console.print(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import imageio_ffmpeg
 import numpy as np
 from PIL import Image
 
+from humoslope.cores import usable_cores
 from humoslope.errors import UserError
 from humoslope.files import write_atomically
 from humoslope.replay.frames import Frames
@@ -135,7 +135,7 @@ _frames: Frames | None = None
 
 def _draw(rollout: Rollout, steps: Sequence[int], cfg: VideoCfg) -> Iterator[Picture]:
     """The pictures of these steps, in their order."""
-    workers = min(cfg.workers or os.cpu_count() or 1, len(steps))
+    workers = min(cfg.workers or usable_cores(), len(steps))
     if workers == 1:
         yield from map(_frames_of(rollout, cfg), steps)
         return

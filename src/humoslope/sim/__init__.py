@@ -33,7 +33,7 @@ def make_simulation(
         backend: "native" steps C MuJoCo on CPU threads, "warp" steps MuJoCo-Warp on CUDA (on the CPU only to compare
             the two: it is some thirty times slower there). "auto" takes warp if the device is CUDA, else native.
         device: A torch device. "auto" is CUDA where there is one, but the CPU for the native backend.
-        num_threads: Threads of the native backend; 0 uses every logical CPU.
+        num_threads: Threads of the native backend; 0 uses every logical CPU that the process may use.
         nconmax: Contacts the warp backend makes room for, per world on average; the native backend needs no such bound.
         njmax: Constraint rows the warp backend makes room for in each world.
 

@@ -10,6 +10,7 @@ from mujoco import mjtState, mjtWarning
 from numpy.typing import NDArray
 from torch import Tensor
 
+from humoslope.cores import usable_cores
 from humoslope.errors import UserError
 from humoslope.sim.fields import STATE_FIELDS, check_model_field, check_reading, check_reset, check_state, no_access
 
@@ -34,7 +35,7 @@ class NativeSimulation:
         self.model = model
         self.num_worlds = num_worlds
         self.device = torch.device("cpu")
-        self._batch = mjbatch.Batch(model, num_worlds, num_threads)
+        self._batch = mjbatch.Batch(model, num_worlds, num_threads or usable_cores())
         self._rows: NDArray[np.float64] = self._batch.bind("state")  # [N, nstate]
         self._fresh = _initial_state(model)
         self._state = {field: self._batch.bind(field) for field in STATE_FIELDS}
