@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import Annotated, Any, Literal, get_origin, get_type_hints
 
@@ -36,8 +36,11 @@ def mirror_type(name: str, value: Any, helps: dict[str, str] | None = None) -> t
     for key, child in _children(value).items():
         kind, default = hints.get(key, _annotation(child)), child
         if kind is None:
-            of_term = isinstance(value, Term) and key == "params"
-            nested = mirror_type(f"{name}_{key}", child, documented(value.func, "Args") if of_term else None)
+            if isinstance(value, Term) and key == "params":
+                whole = _defaults(value.func) | child
+                nested = mirror_type(f"{name}_{key}", whole, documented(value.func, "Args"))
+            else:
+                nested = mirror_type(f"{name}_{key}", child)
             if nested is None:
                 continue
             kind, default = nested
@@ -55,7 +58,8 @@ def write_back(value: Any, mirror: Any) -> None:
     """Writes the fields of `mirror`, made by `mirror_type`, into the configuration `value`."""
     for field in dataclasses.fields(mirror):
         new = getattr(mirror, field.name)
-        old = _children(value)[field.name]
+        # What a term's parameters leave to their defaults is in the mirror alone.
+        old = _children(value).get(field.name, field.default)
         if _annotation(old) is None:
             if dataclasses.is_dataclass(old) and not isinstance(old, type) and old.__dataclass_params__.frozen:  # type: ignore[attr-defined]
                 _set(value, field.name, _replaced(old, new))
@@ -104,7 +108,7 @@ def _replaced(old: Any, mirror: Any) -> Any:
 
 def _set(value: Any, key: str, new: Any) -> None:
     if isinstance(value, dict):
-        value[_keys(value)[key]] = new
+        value[_keys(value).get(key, key)] = new
     else:
         setattr(value, key, new)
 
@@ -119,6 +123,12 @@ def _children(value: Any) -> dict[str, Any]:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
     return {}
+
+
+def _defaults(func: Callable[..., Any]) -> dict[str, Any]:
+    """The parameters of a term that have a value of their own."""
+    parameters = inspect.signature(func).parameters.values()
+    return {p.name: p.default for p in parameters if p.default is not inspect.Parameter.empty}
 
 
 def _keys(mapping: dict[str, Any]) -> dict[str, str]:
