@@ -7,8 +7,8 @@ ROLLOUT ?= experiments/rollouts/stage1_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve record replay video meshes \
-  export play terrain list bench reproduce test lint types check format clean
+.PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
+  export play terrain list bench reproduce recipe test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -50,6 +50,9 @@ figures: $(STAMP) ## Draw the RESULTS of evaluations to experiments/figures
 curve: $(STAMP) ## Draw the learning curve of RUN, a run folder
 	$(BIN)/humoslope curve $(call need,RUN,logs/...) $(ARGS)
 
+compare: $(STAMP) ## Compare RUNS, run folders, after equally many environment steps
+	$(BIN)/humoslope compare $(call need,RUNS,"logs/a logs/b") $(ARGS)
+
 record: $(STAMP) ## Let CHECKPOINT walk once; ARGS="--terrain ramp-up --grade 30" says where
 	$(BIN)/humoslope record $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
 
@@ -79,6 +82,9 @@ bench: $(STAMP) ## Measure speed and memory of Stage I; ARGS="--checkpoint ..." 
 
 reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two cores; experiments/reproduce.mk states it
 	@$(MAKE) -f experiments/reproduce.mk BIN=$(BIN) $(ARGS)
+
+recipe: $(STAMP) ## Compare changes to the CPU recipe in short trainings, some ninety minutes on two cores
+	@$(MAKE) -f experiments/recipe.mk BIN=$(BIN) $(ARGS)
 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
 	$(BIN)/python -m pytest $(or $(ARGS),--cov --cov-report=term:skip-covered --cov-fail-under=85)

@@ -18,6 +18,7 @@ VERBS = {
     "table": "Print the paper's tables with the results of evaluations.",
     "figures": "Draw the results of evaluations.",
     "curve": "Draw the learning curve of a run.",
+    "compare": "Compare training runs after equally many environment steps.",
     "record": "Let a checkpoint walk once and keep the walk in a file.",
     "replay": "Show a recorded walk in rerun.",
     "video": "Make a video and a contact sheet of a recorded walk.",

@@ -86,14 +86,20 @@ def merge_options(first: list[str], then: list[str], without: tuple[str, ...] = 
     Args:
         without: Names to leave out.
     """
+    groups = option_groups([*first, *then])
+    return [word for name, words in groups.items() if name not in without for word in words]
+
+
+def option_groups(options: list[str]) -> dict[str, list[str]]:
+    """Each option's words by its name, however that was spelt. Of options with the same name the last one holds."""
     groups: dict[str, list[str]] = {}
     name = ""
-    for word in [*first, *then]:
+    for word in options:
         if word.startswith("--"):
             name = word.partition("=")[0].replace("_", "-")
             groups.pop(name, None)
         groups.setdefault(name, []).append(word)
-    return [word for name, words in groups.items() if name not in without for word in words]
+    return groups
 
 
 def _replaced(old: Any, mirror: Any) -> Any:
