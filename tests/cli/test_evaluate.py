@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 import signal
@@ -140,6 +141,11 @@ def test_a_sweep_says_how_steep_a_track_is_mastered(path: Path, capsys: pytest.C
     assert report["protocol"]["tiers"] == [0.6]
     assert "Max grade" in (printed := capsys.readouterr().out)
     assert "below 12°; steepest with any success: none" in printed
+    rows = list(csv.DictReader(path.with_name("model_0.sweep.csv").read_text().splitlines()))
+    assert [(row["grade °"], row["SR %"], row["timed out"]) for row in rows] == [
+        ("12.0", "0.0", "1"),
+        ("13.0", "0.0", "1"),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_descriptor_reads_a_plane_at_any_heading_and_height(slope, uphill, lift)
     assert angle(single.normal, d.normal) < 2e-5
 
 
-@settings(max_examples=150)
+@settings(max_examples=300)
 @given(
     slope=slopes,
     uphill=headings,

@@ -80,7 +80,7 @@ class Result:
         goal: Place at which a trial succeeds, m.
         segments: Of the track.
         grades: In rising order.
-        cells: By grade and tier.
+        cells: By grade and tier; those of a sweep only where there are no trials on the track.
         limit: Steepest grade of the slope-limit sweep, degrees; None if there was no sweep, or no grade was mastered.
         swept: Whether there was a sweep.
         beyond: Whether the limit may lie higher than the sweep went.
@@ -222,6 +222,7 @@ def read_report(report: Mapping[str, Any], name: str = "") -> Result:
         training=tuple(_training(c) for c in checkpoints),
         finished=report["finished"],
         trials=report["trials"],
+        cells=tuple(Cell(c["grade"], c["tier"], _summary(c["summary"])) for c in report["cells"]),
     )
     if report["what"] == SWEEP:
         limit = report["slope_limit"] or {"grade": None, "beyond": False}  # of a partial sweep there is none yet
@@ -233,7 +234,6 @@ def read_report(report: Mapping[str, Any], name: str = "") -> Result:
         goal=report["protocol"]["success_place"],
         segments=tuple(Segment(**s) for s in report["segments"]),
         grades=tuple(sorted((_grade(g) for g in report["grades"]), key=lambda g: g.grade)),
-        cells=tuple(Cell(c["grade"], c["tier"], _summary(c["summary"])) for c in report["cells"]),
     )
 
 
