@@ -14,6 +14,9 @@ METHODS := stage1 stage2 url
 HELD_OUT := $(METHODS:%=$(OUT)/heldout/%.json)
 SWEEP := $(METHODS:%=$(OUT)/sweep/%.json)
 
+# The baseline learns as Stage I does, so that the two differ in rewards and in what the critic sees alone.
+RECIPE := --agent.init-std 0.8 --agent.obs-normalization --agent.symmetry --agent.entropy-coef 0.003
+
 # A run that was stopped goes on: $(call train,RUN,TASK,OPTIONS OF A NEW RUN)
 train = $(BIN)/humoslope train $(2) $(if $(wildcard $(OUT)/$(1)/model_*.pt),--resume $(OUT)/$(1),--run-dir $(OUT)/$(1) \
   --env.num-envs $(WORLDS) --agent.max-iterations $(ITERATIONS) $(3))
@@ -35,7 +38,7 @@ $(OUT)/stage2/$(LAST): $(OUT)/stage1/$(LAST) $(OUT)/stage1/swing.json
 	$(call train,stage2,HumoSlope-Stage2-Unitree-G1,--init $< --calibration $(OUT)/stage1/swing.json)
 
 $(OUT)/url/$(LAST):
-	$(call train,url,URL-TerrainRelative-Unitree-G1)
+	$(call train,url,URL-TerrainRelative-Unitree-G1,$(RECIPE))
 
 $(OUT)/ramps.json: $(OUT)/stage1/$(LAST)
 	$(BIN)/humoslope ramps $< --out $@
