@@ -9,6 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from humoslope.cli.options import parse
+from humoslope.cli.train import TrainArgs
+from humoslope.registry import load_content
+
 ROOT = Path(__file__).parents[2]
 
 # Writes down what it was asked, refuses to read what is not there, and leaves what the verb would leave.
@@ -93,3 +97,14 @@ def test_a_training_that_was_stopped_goes_on(reproduce) -> None:
     (run / "model_3.pt").touch()
     first = next(line for line in reproduce() if "Stage1" in line)
     assert first == f"train HumoSlope-Stage1-Unitree-G1 --resume {run}"
+
+
+def test_the_baseline_learns_as_stage_1_does(reproduce) -> None:
+    agents = []
+    load_content()
+    for line in reproduce():
+        if line.startswith("train") and "Stage2" not in line:
+            _, task, *options = line.split()
+            agents.append(parse(TrainArgs(), task, [*options, "--preset", "cpu"])[0].agent)
+    assert len(agents) == 2
+    assert agents[0] == agents[1]
