@@ -2,7 +2,7 @@
 # `make recipe` runs those that are missing, goes on with one that was stopped, and writes the table that log.md reads.
 OUT ?= logs/recipe
 TABLE ?= experiments/results/recipe.md
-ITERATIONS ?= 250
+ITERATIONS ?= 200
 BIN ?= .venv/bin
 
 RUNS := recipe second-seed more-exploration no-history five-epochs finer-physics faster-withdrawal no-harness no-symmetry half-rewards
