@@ -38,6 +38,7 @@ def walking_rewards() -> Terms[RewardTerm]:
     million steps had it too, and came from 0.05 to 0.01 m/s off the speed on the flat (experiments/log.md)."""
     rewards = base_rewards()
     rewards.track_velocity.params["std"] = 0.25
+    rewards.arm_deviation.weight = -0.5  # at Stage I's -0.1 the arms were raised to earn r_com (experiments/log.md)
     return rewards
 
 
