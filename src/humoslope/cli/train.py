@@ -20,7 +20,6 @@ from humoslope.files import check_place
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
 from humoslope.rl import checkpoint
 from humoslope.rl.config import Preset
-from humoslope.rl.policy import read_provenance
 from humoslope.rl.rundir import describe_run, find_run, tee
 from humoslope.rl.runner import Runner, seed_everything
 
@@ -93,17 +92,16 @@ def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, origi
         runner = Runner(task, env, cfg.agent, run_dir if rank == 0 else None, console)
         if start is not None:
             runner.resume(start)
-        elif origin.path is not None:
-            runner.warm_start(origin.path)
+        elif origin.earlier is not None:
+            runner.warm_start(origin.earlier.path)
         if rank == 0:
             describe_run(run_dir, task, cfg, options)
         _introduce(console, task, env, run_dir)
         if start is not None:
             console.print(f"Resumed from {start}.")
-        if origin.path is not None:
-            earlier = read_provenance(origin.path)
+        if (earlier := origin.earlier) is not None:
             console.print(
-                f"Starts from the actor of {origin.path}: {earlier.task}, iteration {earlier.iteration}, "
+                f"Starts from the actor of {earlier.path}: {earlier.task}, iteration {earlier.iteration}, "
                 f"{earlier.total_steps / 1e6:.2f} M steps. {earlier.training} {origin.calibration}",
                 soft_wrap=True,
                 highlight=False,

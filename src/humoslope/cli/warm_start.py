@@ -10,7 +10,7 @@ from humoslope.errors import UserError
 from humoslope.evaluation.calibration_file import calibration_path, check_belongs, load_calibration
 from humoslope.registry import WarmStart
 from humoslope.rl import checkpoint
-from humoslope.rl.policy import find_checkpoint
+from humoslope.rl.policy import Provenance, find_checkpoint, read_provenance
 from humoslope.rl.rundir import runs_of
 
 PRIOR = "prior"
@@ -22,12 +22,12 @@ class Origin:
     """What a new run starts from.
 
     Attributes:
-        path: The checkpoint whose actor it takes; None to start from nothing.
+        earlier: The checkpoint whose actor it takes; None to start from nothing.
         options: Options that set the calibrated reward.
         calibration: A sentence on where their values come from.
     """
 
-    path: Path | None = None
+    earlier: Provenance | None = None
     options: tuple[str, ...] = ()
     calibration: str = ""
 
@@ -47,16 +47,13 @@ def find_origin(start: WarmStart | None, init: str, calibration: str) -> Origin:
     if start is None:
         if calibration:
             raise UserError("--calibration: this task has no reward that a swing calibration sets.")
-        path = find_checkpoint(Path(init)) if init else None
-        if path is not None:
-            checkpoint.load(path)
-        return Origin(path)
+        return Origin(read_provenance(find_checkpoint(Path(init))) if init else None)
     path = find_checkpoint(Path(init)) if init else _newest(start)
-    checkpoint.load(path, start.task)
+    earlier = read_provenance(path, start.task)
     if not start.calibrated:
-        return Origin(path)
+        return Origin(earlier)
     if calibration == PRIOR:
-        return Origin(path, calibration="Swing calibration: the prior, as configured.")
+        return Origin(earlier, calibration="Swing calibration: the prior, as configured.")
     file = Path(calibration) if calibration else calibration_path(path)
     if not calibration and not file.is_file():
         raise UserError(
@@ -64,11 +61,11 @@ def find_origin(start: WarmStart | None, init: str, calibration: str) -> Origin:
             f"with --calibration, or take the documented prior with --calibration {PRIOR}."
         )
     swing, measured = load_calibration(file)
-    check_belongs(measured, path, checkpoint.digest(path))
+    check_belongs(measured, path, earlier.sha256)
     prefix = f"--env.rewards.{start.calibrated.replace('_', '-')}.params."
     options = [word for name, value in vars(swing).items() for word in (prefix + name.replace("_", "-"), repr(value))]
     told = ", ".join(f"{name} {value:.4g}" for name, value in vars(swing).items())
-    return Origin(path, tuple(options), f"Swing calibration {file}: {told}.")
+    return Origin(earlier, tuple(options), f"Swing calibration {file}: {told}.")
 
 
 def _newest(start: WarmStart) -> Path:

@@ -85,13 +85,16 @@ def find_checkpoint(path: Path) -> Path:
     return checkpoint.latest(path) if path.is_dir() else path
 
 
-def read_provenance(path: Path) -> Provenance:
+def read_provenance(path: Path, task: str | None = None) -> Provenance:
     """What a checkpoint says of itself.
 
+    Args:
+        task: The task it must belong to; None for any.
+
     Raises:
-        UserError: If it is no checkpoint.
+        UserError: If it is no checkpoint, or of another task.
     """
-    return _provenance(path, checkpoint.load(path))
+    return _provenance(path, checkpoint.load(path, task))
 
 
 def load_actor(path: Path, env: ManagerBasedRlEnv, task: str | None = None) -> Actor:
