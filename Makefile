@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 RESULTS ?= experiments/results/heldout experiments/results/sweep
-ROLLOUT ?= experiments/rollouts/stage1_track20.npz
+ROLLOUT ?= experiments/rollouts/stage2_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
