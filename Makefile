@@ -83,7 +83,7 @@ bench: $(STAMP) ## Measure speed and memory of Stage I; ARGS="--checkpoint ..." 
 reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two cores; experiments/reproduce.mk states it
 	@$(MAKE) -f experiments/reproduce.mk BIN=$(BIN) $(ARGS)
 
-recipe: $(STAMP) ## Compare changes to the CPU recipe in short trainings, some ninety minutes on two cores
+recipe: $(STAMP) ## Compare changes to the CPU recipe in short trainings, some ninety minutes on one core
 	@$(MAKE) -f experiments/recipe.mk BIN=$(BIN) $(ARGS)
 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
