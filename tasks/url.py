@@ -5,6 +5,9 @@ rewarded and learnt from and in nothing else. Two things could not be kept: cont
 once for each part that touches, since the ground force on everything but the feet is one signal; and Unitree's command
 curriculum, which starts with commands around zero, is left out: tiles are walked in one direction, and both the harness
 and the levels are earned by walking.
+
+From nothing, on a few million samples, these tasks learn to stand still. `--init` with an early checkpoint of Stage I
+lets them start from its first steps (experiments/log.md, "The baseline").
 """
 
 from __future__ import annotations
