@@ -53,7 +53,8 @@ def reproduce(tmp_path: Path):
 
     def run() -> list[str]:
         log.unlink(missing_ok=True)
-        words = ["make", "-f", "experiments/reproduce.mk", f"BIN={program.parent}", f"OUT={out}", "ITERATIONS=7", "WALKS=4"]
+        words = ["make", "-f", "experiments/reproduce.mk", f"BIN={program.parent}", f"OUT={out}"]
+        words += ["ITERATIONS=7", "WALKS=4"]
         # Not as part of the make that may run the tests.
         clean = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
         done = subprocess.run(words, cwd=ROOT, env=clean, capture_output=True, text=True, check=False)

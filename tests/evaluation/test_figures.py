@@ -37,7 +37,7 @@ def test_the_height_of_the_centre_of_mass_is_drawn_at_each_grade(results):
     figure = Figure()
     com_height_by_grade(results, figure)
     drawn = figure.axes[0].containers[0].lines[0].get_ydata()
-    assert list(drawn) == [grade.summary.com_height for grade in results[0].grades]
+    assert list(drawn) == [grade.summary.com_height.mean for grade in results[0].grades]
 
 
 def test_millimetres_are_not_drawn_as_a_change_of_posture(results):

@@ -7,6 +7,7 @@ import io
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -14,7 +15,7 @@ from humoslope.errors import UserError
 from humoslope.evaluation.paper import FILE, Paper, read_paper
 from humoslope.evaluation.results import Result, Training, read_results
 from humoslope.evaluation.sheet import Column, Row, Sheet
-from humoslope.evaluation.statistics import proportion
+from humoslope.evaluation.statistics import average, proportion
 from humoslope.evaluation.tables import ablation_table, cells_table, diagnostics_table, main_table
 from tests.evaluation.made_up import report, sweep, write
 
@@ -181,11 +182,11 @@ def test_a_sweep_that_ended_too_soon_is_said(results, paper):
 
 SHEET = Sheet(
     title="Both",
-    columns=(Column("SR", "%", 1, group="0°"), Column("MXD", "m", group="0°"), Column("on")),
+    columns=(Column("SR", "%", 1, "0°", interval=True), Column("MXD", "m", 2, "0°", interval=True), Column("on")),
     rows=(
-        Row("mine", "3 M steps", (proportion(3, 4), 12.345, "up"), partial="4 of 8 trials"),
+        Row("mine", "3 M steps", (proportion(3, 4), average(np.array([12.25, 12.75])), "up"), partial="4 of 8 trials"),
         Row("mine", "3 M steps", (None, None, "down"), more=True),
-        Row("theirs", "", (50.0, None, None), paper=True),
+        Row("theirs", "", (50.0, 31.5, None), paper=True),
     ),
     notes=("SR: share.",),
 )
@@ -204,7 +205,8 @@ def test_the_screen_shows_every_figure_and_interval_and_each_name_once():
     for part in (
         "75.0",
         "30-95",
-        "12.35",
+        "12.50",
+        "±3.177",
         "partial: 4 of 8 trials",
         "3 M steps",
         "paper: theirs",
@@ -218,18 +220,20 @@ def test_the_screen_shows_every_figure_and_interval_and_each_name_once():
 def test_markdown_has_a_row_for_each_and_the_papers_in_italics():
     lines = SHEET.to_markdown().splitlines()
     assert lines[2] == "| method | training | 0° SR % | 0° MXD m | on |"
-    assert lines[4] == "| mine (partial: 4 of 8 trials) | 3 M steps | 75.0 (30-95) | 12.35 | up |"
+    assert lines[4] == "| mine (partial: 4 of 8 trials) | 3 M steps | 75.0 (30-95) | 12.50 (±3.177) | up |"
     assert lines[5] == "| mine | 3 M steps | - | - | down |"
-    assert lines[6] == "| *paper: theirs* |  | *50.0* | *-* | *-* |"
+    assert lines[6] == "| *paper: theirs* |  | *50.0* | *31.50* | *-* |"
     assert lines[8] == "SR: share."
 
 
 def test_csv_and_json_have_full_precision_and_say_whose_a_row_is():
     rows = list(csv.DictReader(io.StringIO(SHEET.to_csv())))
     assert [row["source"] for row in rows] == ["ours", "ours", "paper"]
-    assert (rows[0]["0° SR %"], rows[0]["0° MXD m"], rows[0]["partial"]) == ("75.0", "12.345", "4 of 8 trials")
+    assert (rows[0]["0° SR %"], rows[0]["0° MXD m"], rows[0]["partial"]) == ("75.0", "12.5", "4 of 8 trials")
     assert float(rows[0]["0° SR % low"]) == pytest.approx(30.06, abs=0.01)
     assert (rows[2]["0° SR %"], rows[2]["0° SR % low"]) == ("50.0", "")
+    assert (rows[2]["0° MXD m"], rows[2]["0° MXD m high"]) == ("31.5", "")
+    assert float(rows[0]["0° MXD m high"]) == pytest.approx(12.5 + 3.177, abs=1e-3)
     told = json.loads(SHEET.to_json())
     assert told["rows"][0]["0° SR % high"] == pytest.approx(95.44, abs=0.01)
     assert told["rows"][1]["0° SR %"] is None

@@ -104,7 +104,7 @@ class _Evaluation:
 
     Attributes:
         trials: What there is.
-        seconds: Wall clock.
+        wall_clock_s: With that of earlier calls whose trials are kept.
     """
 
     def __init__(self, source: Provenance, task: TaskCfg, options: Options, out: Path, console: Console) -> None:
@@ -114,19 +114,20 @@ class _Evaluation:
         cfg = held_out_env_cfg(task.env, relay)
         self._mark = saved.fingerprint(cfg, relay, source.sha256)
         self._path = _beside(out, f".{self._mark[:8]}.npz")
-        if not options.fresh:
-            relay.earlier = saved.load(self._path, self._mark, options.protocol)
+        self.wall_clock_s = 0.0
+        if not options.fresh and (found := saved.load(self._path, self._mark, options.protocol)):
+            relay.earlier, self.wall_clock_s = found
         self.env = ManagerBasedRlEnv(cfg)
         self._relay = relay
         self._actor = load_actor(source.path, self.env, source.task)
         self.trials = relay.trials()
-        self.seconds = 0.0
 
     def walk(self, stopped: list[bool]) -> bool:
         """Walks what is left; returns whether that was everything."""
         relay, protocol = self._relay, self.protocol
         self._introduce()
-        started = shown = written = time.monotonic()
+        shown = written = time.monotonic()
+        started = shown - self.wall_clock_s
         progress = Progress(relay.progress(), self.env.step_dt)
         title = f"{self.source.task}, iteration {self.source.iteration}"
 
@@ -144,7 +145,7 @@ class _Evaluation:
                 live.update(picture())
             if now - written > SAVE_S:
                 written = now
-                saved.save(self._path, relay.trials(), self._mark, protocol)
+                saved.save(self._path, relay.trials(), now - started, self._mark, protocol)
 
         with Live(picture(), console=self._console, auto_refresh=False, transient=True) as live:
             try:
@@ -152,9 +153,8 @@ class _Evaluation:
             except KeyboardInterrupt:
                 pass
             finally:
-                self.trials = relay.trials()
-                saved.save(self._path, self.trials, self._mark, protocol)
-        self.seconds = time.monotonic() - started
+                self.trials, self.wall_clock_s = relay.trials(), time.monotonic() - started
+                saved.save(self._path, self.trials, self.wall_clock_s, self._mark, protocol)
         return bool(self.trials.finished.all())
 
     def _introduce(self) -> None:
@@ -241,7 +241,7 @@ def _report(evaluations: list[_Evaluation], trials: HeldOutTrials, options: Opti
         "protocol": plain(options.protocol),
         "lanes": options.lanes,
         "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
-        "wall_clock_s": round(sum(e.seconds for e in evaluations), 1),
+        "wall_clock_s": round(sum(e.wall_clock_s for e in evaluations), 1),
         "finished": int(trials.finished.sum()),
         "successes": int(trials.success.sum()),
         **tell(

@@ -65,10 +65,10 @@ def com_height_by_grade(results: Sequence[Result], figure: Figure) -> None:
     figure.set_size_inches(6.2, 4.0)
     axis = figure.subplots()
     for i, result in enumerate(results):
-        there = [g for g in result.grades if g.summary.com_height is not None]
-        x = _aside([g.grade for g in there], i, len(results), 0.5)
-        y = [_number(g.summary.com_height) for g in there]
-        spread = [_number(g.summary.com_height_std) for g in there]
+        there = [(g.grade, height) for g in result.grades if (height := g.summary.com_height) is not None]
+        x = _aside([grade for grade, _ in there], i, len(results), 0.5)
+        y = [height.mean for _, height in there]
+        spread = [_number(height.std) for _, height in there]
         _points(axis, i, x, y, spread, _label(result))
     axis.set_xticks(sorted({g.grade for result in results for g in result.grades}))
     low, high = axis.get_ylim()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from humoslope.errors import UserError
 from humoslope.evaluation.metrics import BIN
-from humoslope.evaluation.statistics import Proportion
+from humoslope.evaluation.statistics import Average, Proportion
 from humoslope.evaluation.summary import Choice, Diagnosis, Outcomes, Summary, diagnose, profile, summarise
 from humoslope.rl.rundir import plain
 from humoslope.terrain.course import Segment
@@ -250,4 +250,5 @@ def _grade(told: Mapping[str, Any]) -> Grade:
 
 
 def _summary(told: Mapping[str, Any]) -> Summary:
-    return Summary(**{**told, "success": Proportion(**told["success"])})
+    averages = {name: Average(**value) for name, value in told.items() if isinstance(value, dict) and "mean" in value}
+    return Summary(**{**told, **averages, "success": Proportion(**told["success"])})

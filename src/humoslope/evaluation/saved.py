@@ -8,7 +8,7 @@ import zipfile
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,6 +22,13 @@ from humoslope.evaluation.protocol import HeldOutProtocol
 from humoslope.evaluation.records import chosen, each, from_arrays, to_arrays
 from humoslope.files import write_atomically
 from humoslope.rl.rundir import plain
+
+
+class Walked(NamedTuple):
+    """What a file holds: trials, and the wall clock that they took, s."""
+
+    trials: HeldOutTrials
+    wall_clock_s: float
 
 
 def fingerprint(cfg: EnvCfg, relay: Relay, sha256: str) -> str:
@@ -50,36 +57,40 @@ def fingerprint(cfg: EnvCfg, relay: Relay, sha256: str) -> str:
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
 
 
-def save(path: Path, trials: HeldOutTrials, mark: str, protocol: HeldOutProtocol) -> None:
-    """Writes the trials of a protocol and the fingerprint they belong to in one step.
+def save(path: Path, trials: HeldOutTrials, wall_clock_s: float, mark: str, protocol: HeldOutProtocol) -> None:
+    """Writes the trials of a protocol, what they took and the fingerprint they belong to in one step.
 
     Trials beyond the protocol's that the file holds under the same fingerprint stay in it.
     """
     before = _read(path, mark)
-    if before is not None and len(before) > len(trials):
-        larger = replace(protocol, trials=len(before) // protocol.num_cells)
+    if before is not None and len(before.trials) > len(trials):
+        larger = replace(protocol, trials=len(before.trials) // protocol.num_cells)
         padded = each(partial(_resize, protocol=larger), trials)
-        trials = each(partial(chosen, padded.finished), padded, before)
-    arrays: dict[str, Any] = {"fingerprint": np.array(mark), **to_arrays(trials)}
+        trials = each(partial(chosen, padded.finished), padded, before.trials)
+    about = {"fingerprint": np.array(mark), "wall_clock_s": np.array(wall_clock_s)}
+    arrays: dict[str, Any] = about | to_arrays(trials)
     write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
 
 
-def load(path: Path, mark: str, protocol: HeldOutProtocol) -> HeldOutTrials | None:
-    """The trials saved at `path` as far as this protocol has them, if they have this fingerprint.
+def load(path: Path, mark: str, protocol: HeldOutProtocol) -> Walked | None:
+    """The trials saved at `path` as far as this protocol has them, if they have this fingerprint, and what all took.
 
     None if there is no such file, or it belongs to something else.
     """
-    trials = _read(path, mark)
-    return None if trials is None else each(partial(_resize, protocol=protocol), trials)
+    found = _read(path, mark)
+    return (
+        None if found is None else Walked(each(partial(_resize, protocol=protocol), found.trials), found.wall_clock_s)
+    )
 
 
-def _read(path: Path, mark: str) -> HeldOutTrials | None:
+def _read(path: Path, mark: str) -> Walked | None:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
         if str(arrays.pop("fingerprint")) != mark:
             return None
-        return from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials})
+        wall_clock_s = float(arrays.pop("wall_clock_s"))
+        return Walked(from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials}), wall_clock_s)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 

@@ -12,9 +12,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from humoslope.evaluation.statistics import Proportion
+from humoslope.evaluation.statistics import Average, Proportion
 
-Value = float | Proportion | str | None
+Value = float | Proportion | Average | str | None
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,14 @@ class Column:
         unit: "" if it has none.
         digits: After the point.
         group: What a label is of, such as a grade, if there are several columns of that label.
+        interval: Whether figures of ours have bounds: its values are proportions or averages.
     """
 
     label: str
     unit: str = ""
     digits: int = 2
     group: str = ""
+    interval: bool = False
 
     @property
     def title(self) -> str:
@@ -46,7 +48,7 @@ class Row:
     Attributes:
         name: Of the method.
         note: What must be known to read it, such as how it was trained.
-        values: One for each column; a proportion is shown in percent with its interval.
+        values: One for each column; a proportion is shown in percent.
         paper: Whether it is the paper's, and not measured here.
         partial: How much of it has been measured, if not all.
         more: Whether it is one more row of the method above, whose name need not be said again on the screen.
@@ -116,7 +118,7 @@ class Sheet:
         return "\n".join([*lines, "", *(f"{note}  " for note in self.notes)]).rstrip() + "\n"
 
     def to_csv(self) -> str:
-        """For a program: full precision, empty where there is no figure; proportions in percent, with their bounds."""
+        """For a program: full precision, empty where there is no figure; with bounds; proportions in percent."""
         out = io.StringIO()
         records = self.records()
         writer = csv.DictWriter(out, fieldnames=list(records[0]) if records else [], lineterminator="\n")
@@ -148,7 +150,7 @@ class Sheet:
 
 
 def _lines(value: Value, column: Column) -> str:
-    """A cell; a proportion has its interval in a second line."""
+    """A cell; an interval is in a second line, that of an average with one more digit."""
     if value is None:
         return "-"
     if isinstance(value, str):
@@ -156,17 +158,24 @@ def _lines(value: Value, column: Column) -> str:
     if isinstance(value, Proportion):
         interval = f"{100.0 * value.low:.0f}-{100.0 * value.high:.0f}"
         return f"{100.0 * value.share:.{column.digits}f}\n{interval}"
+    if isinstance(value, Average):
+        margin = "" if value.high is None else f"\n±{value.high - value.mean:.{column.digits + 1}f}"
+        return f"{value.mean:.{column.digits}f}{margin}"
     return f"{value:.{column.digits}f}"
 
 
 def _fields(value: Value, column: Column) -> dict[str, float | str | None]:
-    """What a cell is in a record. Columns of proportions have their bounds beside them, also where there are none."""
-    title = column.title
+    """What a cell is in a record. Columns with intervals have their bounds beside them, also where there are none."""
+    middle: float | str | None
+    low = high = None
     if isinstance(value, Proportion):
-        low, high = 100.0 * value.low, 100.0 * value.high
-        return {title: 100.0 * value.share, f"{title} low": low, f"{title} high": high}
-    bounds: dict[str, float | str | None] = {f"{title} low": None, f"{title} high": None} if column.unit == "%" else {}
-    return {title: value, **bounds}
+        middle, low, high = 100.0 * value.share, 100.0 * value.low, 100.0 * value.high
+    elif isinstance(value, Average):
+        middle, low, high = value.mean, value.low, value.high
+    else:
+        middle = value
+    bounds = {f"{column.title} low": low, f"{column.title} high": high} if column.interval else {}
+    return {column.title: middle, **bounds}
 
 
 def _markdown_row(cells: list[str]) -> str:

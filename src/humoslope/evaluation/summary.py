@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humoslope.evaluation.metrics import GROUPS, PROFILE, TORQUE_BIN, TrackTrials
-from humoslope.evaluation.statistics import Array, Proportion, mean, proportion
+from humoslope.evaluation.statistics import Array, Average, Proportion, average, proportion
 from humoslope.slope.zmp import GRAVITY
 
 DIRECTIONS = {"up": 1, "flat": 0, "down": -1}
@@ -58,7 +58,7 @@ class Outcomes(Protocol):
 
 @dataclass(frozen=True)
 class Summary:
-    """The figures of some trials.
+    """The figures of some trials; what is averaged over trials comes with Student's interval.
 
     Attributes:
         success: SR, the share of trials that reached the goal, with Wilson's interval.
@@ -73,7 +73,6 @@ class Summary:
         cost_of_transport_positive: The same over all trials, of positive work alone.
         yaw_rate_variance: Over the time of a trial, averaged over trials, (rad/s)^2.
         com_height: Of the centre of mass above the ground right below it, mean of the trials' means, m.
-        com_height_std: Standard deviation of the trials' means, m.
         root_height: As `com_height`, of the root, m.
         knee_peak: Largest torque of either knee in a trial, averaged over trials, Nm.
         knee_max: Largest of all trials, Nm.
@@ -84,19 +83,18 @@ class Summary:
     fell: int
     left: int
     timed_out: int
-    max_distance: float
-    traversal_s: float | None
-    speed: float | None
-    speed_error: float | None
+    max_distance: Average | None
+    traversal_s: Average | None
+    speed: Average | None
+    speed_error: Average | None
     speed_rms_error: float | None
     cost_of_transport: float | None
     cost_of_transport_successes: float | None
     cost_of_transport_positive: float | None
-    yaw_rate_variance: float | None
-    com_height: float | None
-    com_height_std: float | None
-    root_height: float | None
-    knee_peak: float
+    yaw_rate_variance: Average | None
+    com_height: Average | None
+    root_height: Average | None
+    knee_peak: Average | None
     knee_max: float
     knee_p99: float | None
 
@@ -112,25 +110,23 @@ def summarise(outcomes: Outcomes, which: Choice, mass: float, commanded: float) 
         UserError: If there is no trial.
     """
     success, metrics = outcomes.success[which], outcomes.metrics[which]
-    there = metrics.com_height[~np.isnan(metrics.com_height)]
     return Summary(
         success=proportion(int(success.sum()), len(success)),
         fell=int(outcomes.fell[which].sum()),
         left=int(outcomes.left[which].sum()),
         timed_out=int(outcomes.timed_out[which].sum()),
-        max_distance=float(outcomes.max_place[which].mean()),
-        traversal_s=mean(outcomes.seconds[which][success]),
-        speed=mean(metrics.speed),
-        speed_error=mean(np.abs(metrics.speed - commanded)),
+        max_distance=average(outcomes.max_place[which]),
+        traversal_s=average(outcomes.seconds[which][success]),
+        speed=average(metrics.speed),
+        speed_error=average(np.abs(metrics.speed - commanded)),
         speed_rms_error=rms_speed_error(metrics),
         cost_of_transport=cost_of_transport(metrics, mass),
         cost_of_transport_successes=cost_of_transport(metrics[success], mass),
         cost_of_transport_positive=cost_of_transport(metrics, mass, positive=True),
-        yaw_rate_variance=mean(metrics.yaw_rate_variance),
-        com_height=mean(metrics.com_height),
-        com_height_std=float(there.std()) if there.size else None,
-        root_height=mean(metrics.root_height),
-        knee_peak=float(metrics.knee_peak.mean()),
+        yaw_rate_variance=average(metrics.yaw_rate_variance),
+        com_height=average(metrics.com_height),
+        root_height=average(metrics.root_height),
+        knee_peak=average(metrics.knee_peak),
         knee_max=float(metrics.knee_peak.max()),
         knee_p99=knee_quantile(metrics, 0.99),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from humoslope.evaluation.paper import Paper, PaperRow
 from humoslope.evaluation.results import Grade, Result
@@ -14,20 +15,21 @@ GRADES = (0.0, 10.0, 20.0, 30.0)
 """Degrees; the paper's four nominal grades, shown where nothing was walked."""
 PAPER_NOTE = "paper: as printed there, on another track in another simulator; its training budget is not stated."
 SR_NOTE = "SR: share of trials that reach the goal, with Wilson's 95 % interval; all friction tiers together."
+MEAN_NOTE = "±: 95 % of the mean over trials of this policy on this track, by Student's t."
 SPEED_NOTE = "T_trav is over successes. At the commanded 0.5 m/s it is about 62 s; less is over-speed, not precision."
 
-TASK_COLUMNS = (Column("SR", "%", 1), Column("MXD", "m"), Column("T_trav", "s", 1))
+TASK_COLUMNS = (
+    Column("SR", "%", 1, interval=True),
+    Column("MXD", "m", interval=True),
+    Column("T_trav", "s", 1, interval=True),
+)
 TASK_KEYS = ("sr", "mxd", "t_trav")
 
 
 def main_table(results: Sequence[Result], paper: Paper) -> Sheet:
     """Table 1: success rate, furthest distance and time at each grade, and the steepest grade."""
     grades = sorted({there.grade for result in results for there in result.grades}) or list(GRADES)
-    columns = [
-        Column(column.label, column.unit, column.digits, group=f"{grade:g}°")
-        for grade in grades
-        for column in TASK_COLUMNS
-    ]
+    columns = [replace(column, group=f"{grade:g}°") for grade in grades for column in TASK_COLUMNS]
 
     def ours(result: Result) -> tuple[Value, ...]:
         figures = [value for grade in grades for value in _task_figures(result.at(grade))]
@@ -37,7 +39,7 @@ def main_table(results: Sequence[Result], paper: Paper) -> Sheet:
         figures = [row.grades.get(grade, {}).get(key) for grade in grades for key in TASK_KEYS]
         return (*figures, row.max_grade)
 
-    notes = [SR_NOTE, SPEED_NOTE, "Max grade: steepest with SR of 50 % and more in the slope-limit sweep."]
+    notes = [SR_NOTE, MEAN_NOTE, SPEED_NOTE, "Max grade: steepest with SR of 50 % and more in the slope-limit sweep."]
     notes += [f"{r.name}: the sweep ends there, the limit may be higher." for r in results if r.beyond]
     return Sheet(
         title="Held-out slope tracks (paper, table 1)",
@@ -49,12 +51,16 @@ def main_table(results: Sequence[Result], paper: Paper) -> Sheet:
 
 ABLATION_COLUMNS = (
     Column("CoT", digits=3),
-    Column("σ²_yaw", "rad²/s²", 4),
-    Column("h_com", "m", 3),
-    Column("τ_knee", "Nm", 1),
+    Column("σ²_yaw", "rad²/s²", 4, interval=True),
+    Column("h_com", "m", 3, interval=True),
+    Column("τ_knee", "Nm", 1, interval=True),
 )
 ABLATION_KEYS = ("cot", "yaw_rate_variance", "com_height", "knee_peak")
-OUR_COLUMNS = (Column("τ p99", "Nm", 1), Column("speed", "m/s", 3), Column("error", "m/s", 3))
+OUR_COLUMNS = (
+    Column("τ p99", "Nm", 1),
+    Column("speed", "m/s", 3, interval=True),
+    Column("error", "m/s", 3, interval=True),
+)
 """What the paper does not tell."""
 
 
@@ -79,6 +85,7 @@ def ablation_table(results: Sequence[Result], paper: Paper, grade: float = 20.0)
         rows=_beside(results, paper.ablation if grade == paper.ablation_grade else (), ours, theirs),
         notes=(
             SR_NOTE,
+            MEAN_NOTE,
             SPEED_NOTE,
             "CoT: sum of |torque x velocity| over weight and forward way, all trials. τ_knee: mean of trials' peaks.",
             "h_com: above the ground below the centre of mass. error: of a trial's mean speed from the commanded one.",
@@ -142,16 +149,16 @@ CELL_COLUMNS = (
     Column("fell", digits=0),
     Column("left", digits=0),
     Column("timed out", digits=0),
-    Column("speed", "m/s", 3),
-    Column("error", "m/s", 3),
+    Column("speed", "m/s", 3, interval=True),
+    Column("error", "m/s", 3, interval=True),
     Column("RMS", "m/s", 3),
     Column("CoT", digits=3),
     Column("CoT of successes", digits=3),
     Column("CoT +", digits=3),
-    Column("σ²_yaw", "rad²/s²", 4),
-    Column("h_com", "m", 3),
-    Column("h_root", "m", 3),
-    Column("τ_knee", "Nm", 1),
+    Column("σ²_yaw", "rad²/s²", 4, interval=True),
+    Column("h_com", "m", 3, interval=True),
+    Column("h_root", "m", 3, interval=True),
+    Column("τ_knee", "Nm", 1, interval=True),
     Column("τ max", "Nm", 1),
     Column("τ p99", "Nm", 1),
 )
@@ -190,7 +197,12 @@ def cells_table(results: Sequence[Result]) -> Sheet:
         title="By grade and friction",
         columns=CELL_COLUMNS,
         rows=tuple(rows),
-        notes=("CoT +: of positive work alone. τ_knee: mean of the trials' peaks.", *_partial_note(results)),
+        notes=(
+            SR_NOTE,
+            MEAN_NOTE,
+            "CoT +: of positive work alone. τ_knee: mean of the trials' peaks.",
+            *_partial_note(results),
+        ),
     )
 
 
