@@ -199,7 +199,7 @@ def test_an_interrupted_evaluation_goes_on_to_the_same_figures(whole: HeldOutTri
     env, relay = build(TINY, lanes=2)
     with pytest.raises(KeyboardInterrupt):
         walk(env, stumbling, relay, interrupt)
-    saved.save(tmp_path / "part.npz", relay.trials(), 1.5, "mark", TINY)
+    saved.save(tmp_path / "part.npz", saved.Walked(relay.trials(), 1.5, ("commit a",)), "mark", TINY)
     kept = saved.load(tmp_path / "part.npz", "mark", TINY)
     assert kept is not None
     earlier = kept.trials
@@ -217,7 +217,7 @@ def test_a_first_look_is_the_beginning_of_the_full_evaluation(whole: HeldOutTria
     env, relay = build(look, lanes=2)
     first = walk(env, stumbling, relay)
     assert_same(first, whole[np.arange(6) % 3 < 2])
-    saved.save(tmp_path / "look.npz", first, 1.5, "mark", look)
+    saved.save(tmp_path / "look.npz", saved.Walked(first, 1.5, ()), "mark", look)
     kept = saved.load(tmp_path / "look.npz", "mark", TINY)
     assert kept is not None
     earlier = kept.trials
@@ -279,7 +279,7 @@ def test_a_world_that_diverges_has_fallen_and_its_garbage_is_not_measured() -> N
 def test_saved_trials_of_anything_else_are_not_used(whole: HeldOutTrials, tmp_path) -> None:
     path = tmp_path / "trials.npz"
     assert saved.load(path, "mark", TINY) is None
-    saved.save(path, whole, 1.5, "mark", TINY)
+    saved.save(path, saved.Walked(whole, 1.5, ("commit a",)), "mark", TINY)
     kept = saved.load(path, "mark", TINY)
     assert kept is not None
     assert_same(kept.trials, whole)
@@ -290,15 +290,15 @@ def test_saved_trials_of_anything_else_are_not_used(whole: HeldOutTrials, tmp_pa
 
 def test_a_later_look_with_fewer_trials_does_not_lose_the_others(whole: HeldOutTrials, tmp_path) -> None:
     path, look = tmp_path / "trials.npz", dataclasses.replace(TINY, trials=1)
-    saved.save(path, whole, 1.5, "mark", TINY)
+    saved.save(path, saved.Walked(whole, 1.5, ("commit a",)), "mark", TINY)
     first = saved.load(path, "mark", look)
     assert first is not None
     assert_same(first.trials, whole[[0, 3]])
-    saved.save(path, first.trials, 2.5, "mark", look)
+    saved.save(path, saved.Walked(first.trials, 2.5, ("commit a", "commit b")), "mark", look)
     kept = saved.load(path, "mark", TINY)
     assert kept is not None
     assert_same(kept.trials, whole)
-    assert kept.wall_clock_s == 2.5
+    assert kept[1:] == (2.5, ("commit a", "commit b"))
 
 
 def test_the_fingerprint_knows_the_robot_wherever_its_files_lie(tmp_path: Path) -> None:

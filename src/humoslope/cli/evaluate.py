@@ -29,6 +29,7 @@ from humoslope.evaluation.paper import read_paper
 from humoslope.evaluation.protocol import HeldOutProtocol, sweep_protocol
 from humoslope.evaluation.records import each
 from humoslope.evaluation.results import read_report, tell
+from humoslope.evaluation.saved import Walked
 from humoslope.evaluation.sweep import ENOUGH, SlopeLimit, slope_limit
 from humoslope.evaluation.tables import ablation_table, cells_table, diagnostics_table, main_table
 from humoslope.files import check_place, write_text
@@ -103,8 +104,7 @@ class _Evaluation:
     """One checkpoint's trials, from the saved ones to the last.
 
     Attributes:
-        trials: What there is.
-        wall_clock_s: With that of earlier calls whose trials are kept.
+        walked: What there is.
     """
 
     def __init__(self, source: Provenance, task: TaskCfg, options: Options, out: Path, console: Console) -> None:
@@ -114,20 +114,30 @@ class _Evaluation:
         cfg = held_out_env_cfg(task.env, relay)
         self._mark = saved.fingerprint(cfg, relay, source.sha256)
         self._path = _beside(out, f".{self._mark[:8]}.npz")
-        self.wall_clock_s = 0.0
-        if not options.fresh and (found := saved.load(self._path, self._mark, options.protocol)):
-            relay.earlier, self.wall_clock_s = found
+        found = None if options.fresh else saved.load(self._path, self._mark, options.protocol)
+        relay.earlier = found and found.trials
         self.env = ManagerBasedRlEnv(cfg)
         self._relay = relay
         self._actor = load_actor(source.path, self.env, source.task)
-        self.trials = relay.trials()
+        self.walked = found or Walked(relay.trials(), 0.0, ())
+
+    @property
+    def finished(self) -> bool:
+        """Whether no trial is left."""
+        return bool(self.walked.trials.finished.all())
 
     def walk(self, stopped: list[bool]) -> bool:
         """Walks what is left; returns whether that was everything."""
         relay, protocol = self._relay, self.protocol
         self._introduce()
         shown = written = time.monotonic()
-        started = shown - self.wall_clock_s
+        started = shown - self.walked.wall_clock_s
+        code = self.walked.code if self.finished else (*dict.fromkeys([*self.walked.code, _commit()]),)
+
+        def keep() -> None:
+            self.walked = Walked(relay.trials(), time.monotonic() - started, code)
+            saved.save(self._path, self.walked, self._mark, protocol)
+
         progress = Progress(relay.progress(), self.env.step_dt)
         title = f"{self.source.task}, iteration {self.source.iteration}"
 
@@ -145,7 +155,7 @@ class _Evaluation:
                 live.update(picture())
             if now - written > SAVE_S:
                 written = now
-                saved.save(self._path, relay.trials(), now - started, self._mark, protocol)
+                keep()
 
         with Live(picture(), console=self._console, auto_refresh=False, transient=True) as live:
             try:
@@ -153,13 +163,12 @@ class _Evaluation:
             except KeyboardInterrupt:
                 pass
             finally:
-                self.trials, self.wall_clock_s = relay.trials(), time.monotonic() - started
-                saved.save(self._path, self.trials, self.wall_clock_s, self._mark, protocol)
-        return bool(self.trials.finished.all())
+                keep()
+        return self.finished
 
     def _introduce(self) -> None:
         env, sim, protocol = self.env, self.env.cfg.sim, self.protocol
-        done = int(self.trials.finished.sum())
+        done = int(self.walked.trials.finished.sum())
         lines = [
             f"[bold]{self.source.task}[/bold], iteration {self.source.iteration}, "
             f"{self.source.total_steps / 1e6:.2f} M steps; {self.source.path}",
@@ -177,7 +186,7 @@ def _conclude(
     console: Console, evaluations: list[_Evaluation], options: Options, out: Path, arguments: list[str]
 ) -> None:
     protocol = options.protocol
-    trials = each(lambda *parts: np.concatenate(parts), *(e.trials for e in evaluations))
+    trials = each(lambda *parts: np.concatenate(parts), *(e.walked.trials for e in evaluations))
     walked, wanted = int(trials.finished.sum()), len(options.checkpoints) * protocol.num_trials
     pooled = dataclasses.replace(protocol, trials=protocol.trials * len(options.checkpoints))
     console.print(cell_table(trials, pooled, "Held-out track"))
@@ -236,12 +245,12 @@ def _report(evaluations: list[_Evaluation], trials: HeldOutTrials, options: Opti
     return {
         "what": "sweep" if options.sweep else "held-out",
         "version": humoslope.__version__,
-        "code": git_state().splitlines()[0],
+        "code": ", ".join(dict.fromkeys(commit for e in evaluations for commit in e.walked.code)),
         "checkpoints": [plain(e.source) for e in evaluations],
         "protocol": plain(options.protocol),
         "lanes": options.lanes,
         "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
-        "wall_clock_s": round(sum(e.wall_clock_s for e in evaluations), 1),
+        "wall_clock_s": round(sum(e.walked.wall_clock_s for e in evaluations), 1),
         "finished": int(trials.finished.sum()),
         "successes": int(trials.success.sum()),
         **tell(
@@ -253,6 +262,10 @@ def _report(evaluations: list[_Evaluation], trials: HeldOutTrials, options: Opti
             mass=env.robot.total_mass,
         ),
     }
+
+
+def _commit() -> str:
+    return git_state().splitlines()[0]
 
 
 def _beside(out: Path, ending: str) -> Path:

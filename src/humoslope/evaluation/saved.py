@@ -25,10 +25,17 @@ from humoslope.rl.rundir import plain
 
 
 class Walked(NamedTuple):
-    """What a file holds: trials, and the wall clock that they took, s."""
+    """What a file holds.
+
+    Attributes:
+        trials: With gaps where they are not finished yet.
+        wall_clock_s: What they took in all calls.
+        code: Commits that they were walked with.
+    """
 
     trials: HeldOutTrials
     wall_clock_s: float
+    code: tuple[str, ...]
 
 
 def fingerprint(cfg: EnvCfg, relay: Relay, sha256: str) -> str:
@@ -57,30 +64,28 @@ def fingerprint(cfg: EnvCfg, relay: Relay, sha256: str) -> str:
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
 
 
-def save(path: Path, trials: HeldOutTrials, wall_clock_s: float, mark: str, protocol: HeldOutProtocol) -> None:
-    """Writes the trials of a protocol, what they took and the fingerprint they belong to in one step.
+def save(path: Path, walked: Walked, mark: str, protocol: HeldOutProtocol) -> None:
+    """Writes the trials of a protocol and the fingerprint they belong to in one step.
 
     Trials beyond the protocol's that the file holds under the same fingerprint stay in it.
     """
-    before = _read(path, mark)
+    trials, before = walked.trials, _read(path, mark)
     if before is not None and len(before.trials) > len(trials):
         larger = replace(protocol, trials=len(before.trials) // protocol.num_cells)
         padded = each(partial(_resize, protocol=larger), trials)
         trials = each(partial(chosen, padded.finished), padded, before.trials)
-    about = {"fingerprint": np.array(mark), "wall_clock_s": np.array(wall_clock_s)}
-    arrays: dict[str, Any] = about | to_arrays(trials)
+    about = {"fingerprint": mark, "wall_clock_s": walked.wall_clock_s, "code": walked.code}
+    arrays: dict[str, Any] = {name: np.array(value) for name, value in about.items()} | to_arrays(trials)
     write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
 
 
 def load(path: Path, mark: str, protocol: HeldOutProtocol) -> Walked | None:
-    """The trials saved at `path` as far as this protocol has them, if they have this fingerprint, and what all took.
+    """The trials saved at `path` as far as this protocol has them, if they have this fingerprint.
 
     None if there is no such file, or it belongs to something else.
     """
     found = _read(path, mark)
-    return (
-        None if found is None else Walked(each(partial(_resize, protocol=protocol), found.trials), found.wall_clock_s)
-    )
+    return None if found is None else found._replace(trials=each(partial(_resize, protocol=protocol), found.trials))
 
 
 def _read(path: Path, mark: str) -> Walked | None:
@@ -89,8 +94,8 @@ def _read(path: Path, mark: str) -> Walked | None:
             arrays = dict(file)
         if str(arrays.pop("fingerprint")) != mark:
             return None
-        wall_clock_s = float(arrays.pop("wall_clock_s"))
-        return Walked(from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials}), wall_clock_s)
+        wall_clock_s, code = float(arrays.pop("wall_clock_s")), tuple(arrays.pop("code").tolist())
+        return Walked(from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials}), wall_clock_s, code)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 
