@@ -198,7 +198,6 @@ def cells_table(results: Sequence[Result]) -> Sheet:
         columns=CELL_COLUMNS,
         rows=tuple(rows),
         notes=(
-            SR_NOTE,
             MEAN_NOTE,
             "CoT +: of positive work alone. τ_knee: mean of the trials' peaks.",
             *_partial_note(results),
