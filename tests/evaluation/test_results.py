@@ -85,12 +85,15 @@ def test_a_partial_sweep_has_found_nothing_yet(tmp_path):
     assert result.grades == ()
 
 
-def test_training_counts_every_stage_and_whether_any_had_a_harness(tmp_path):
-    first = {"task": "One", "total_steps": 38, "harness": 0.25, "ancestor": None}
-    second = {"task": "Two", "total_steps": 23, "harness": None, "ancestor": first}
-    plain = {"task": "Two", "total_steps": 5, "harness": None, "ancestor": None}
-    (result,) = read_results([str(write(tmp_path, "a", report(checkpoints=[second, plain])))])
-    assert result.training == (Training((38, 23), 0.25), Training((5,), None))
+@pytest.mark.parametrize(
+    ("first", "second", "left"),
+    [(None, None, None), (0.25, 0.0, 0.0), (0.25, None, 0.0), (0.0, 0.5, 0.5), (None, 0.5, 0.5)],
+)
+def test_training_counts_every_stage_and_tells_the_harness_of_the_last(tmp_path, first, second, left):
+    before = {"task": "One", "total_steps": 38, "harness": first, "ancestor": None}
+    after = {"task": "Two", "total_steps": 23, "harness": second, "ancestor": before}
+    (result,) = read_results([str(write(tmp_path, "a", report(checkpoints=[after])))])
+    assert result.training == (Training((38, 23), left),)
 
 
 def test_missing_trials_make_a_result_partial(tmp_path):

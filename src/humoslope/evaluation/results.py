@@ -61,7 +61,8 @@ class Training:
 
     Attributes:
         steps: Environment steps of each stage, the first one first.
-        harness: Largest scale that a training harness still had at the end of a stage; None if no stage had one.
+        harness: Scale that the training harness still had at the end of the last stage, zero if only earlier stages had one;
+            None if no stage had one.
     """
 
     steps: tuple[int, ...]
@@ -240,8 +241,10 @@ def read_report(report: Mapping[str, Any], name: str = "") -> Result:
 def _training(checkpoint: Mapping[str, Any]) -> Training:
     ancestor = checkpoint.get("ancestor")
     before = _training(ancestor) if ancestor else Training((), None)
-    scales = [scale for scale in (before.harness, checkpoint["harness"]) if scale is not None]
-    return Training((*before.steps, checkpoint["total_steps"]), max(scales, default=None))
+    harness = checkpoint["harness"]
+    if harness is None and before.harness is not None:
+        harness = 0.0
+    return Training((*before.steps, checkpoint["total_steps"]), harness)
 
 
 def _grade(told: Mapping[str, Any]) -> Grade:
