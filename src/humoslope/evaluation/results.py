@@ -61,8 +61,8 @@ class Training:
 
     Attributes:
         steps: Environment steps of each stage, the first one first.
-        harness: Scale that the training harness still had at the end of the last stage, zero if only earlier stages had one;
-            None if no stage had one.
+        harness: Scale that the training harness still had at the end of the last stage, zero if only earlier
+            stages had one; None if no stage had one.
     """
 
     steps: tuple[int, ...]
