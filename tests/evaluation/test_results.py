@@ -92,8 +92,9 @@ def test_a_partial_sweep_has_found_nothing_yet(tmp_path):
 def test_training_counts_every_stage_and_tells_the_harness_of_the_last(tmp_path, first, second, left):
     before = {"task": "One", "total_steps": 38, "harness": first, "ancestor": None}
     after = {"task": "Two", "total_steps": 23, "harness": second, "ancestor": before}
-    (result,) = read_results([str(write(tmp_path, "a", report(checkpoints=[after])))])
-    assert result.training == (Training((38, 23), left),)
+    plain = {"task": "Two", "total_steps": 5, "harness": None, "ancestor": None}
+    (result,) = read_results([str(write(tmp_path, "a", report(checkpoints=[after, plain])))])
+    assert result.training == (Training((38, 23), left), Training((5,), None))
 
 
 def test_missing_trials_make_a_result_partial(tmp_path):
