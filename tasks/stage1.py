@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 
 from humoslope.env import EnvCfg, SceneCfg
+from humoslope.learning.config import AgentCfg
 from humoslope.managers import (
-    EventTerm,
-    ObservationGroup,
-    ObservationTerm,
-    RewardTerm,
-    Term,
-    TerminationTerm,
+    EventTermCfg,
+    ObservationGroupCfg,
+    ObservationTermCfg,
+    RewardTermCfg,
+    TermCfg,
+    TerminationTermCfg,
     Terms,
-    VelocityCommand,
+    VelocityCommandCfg,
 )
-from humoslope.mdp import balance, curricula, events, harness, observations, rewards, terminations
+from humoslope.mdp import curricula, events, harness, observations, rewards, terminations, zmp
 from humoslope.registry import TaskCfg, task
-from humoslope.rl.config import AgentCfg
 from robots.unitree_g1 import UNITREE_G1
 from terrains.stage1 import stage1 as stage1_terrain
 
@@ -32,84 +32,84 @@ PROPRIOCEPTION = {
 }
 
 
-def proprioception() -> Terms[ObservationTerm]:
+def proprioception() -> Terms[ObservationTermCfg]:
     """What the robot measures itself; all the actor ever sees."""
     return Terms(
         **{
-            name: ObservationTerm(func, noise=noise, scale=scale)
+            name: ObservationTermCfg(func, noise=noise, scale=scale)
             for name, (func, noise, scale) in PROPRIOCEPTION.items()
         }
     )
 
 
-def actor_group() -> ObservationGroup:
+def actor_group() -> ObservationGroupCfg:
     """Noisy proprioception over five control steps."""
-    return ObservationGroup(terms=proprioception(), history=5, corrupt=True)
+    return ObservationGroupCfg(terms=proprioception(), history=5, enable_corruption=True)
 
 
-def critic_group() -> ObservationGroup:
+def critic_group() -> ObservationGroupCfg:
     """Clean proprioception and what only a simulator knows:
     velocity, contacts, friction, and H49, the ground around the robot."""
     terms = proprioception()
-    terms.base_lin_vel = ObservationTerm(observations.base_lin_vel)
-    terms.foot_contact = ObservationTerm(observations.foot_contact)
-    terms.foot_load = ObservationTerm(observations.foot_load)
-    terms.foot_height = ObservationTerm(observations.foot_height, scale=5.0)
-    terms.friction = ObservationTerm(observations.friction)
-    terms.height_scan = ObservationTerm(observations.height_scan)
-    return ObservationGroup(terms=terms)
+    terms.base_lin_vel = ObservationTermCfg(observations.base_lin_vel)
+    terms.foot_contact = ObservationTermCfg(observations.foot_contact)
+    terms.foot_load = ObservationTermCfg(observations.foot_load)
+    terms.foot_height = ObservationTermCfg(observations.foot_height, scale=5.0)
+    terms.friction = ObservationTermCfg(observations.friction)
+    terms.height_scan = ObservationTermCfg(observations.height_scan)
+    return ObservationGroupCfg(terms=terms)
 
 
-def base_rewards() -> Terms[RewardTerm]:
+def base_rewards() -> Terms[RewardTermCfg]:
     """Unitree RL Lab's list with these changes: velocity and height refer to the ground; the pelvis may lean with
     the slope; instead of a gait clock that the policy cannot see, time on one leg is rewarded; a fall costs."""
     return Terms(
-        track_velocity=RewardTerm(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
-        track_yaw_rate=RewardTerm(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=1.0),
-        alive=RewardTerm(rewards.alive, weight=0.15),
-        fall=RewardTerm(rewards.fall, weight=-100.0),
-        slope_normal_velocity=RewardTerm(rewards.slope_normal_velocity_l2, weight=-1.0),
-        ang_vel_xy=RewardTerm(rewards.ang_vel_xy_l2, weight=-0.05),
-        roll=RewardTerm(rewards.roll_l2, weight=-3.0),
-        pitch=RewardTerm(rewards.pitch_l2, {"slope_share": 0.7}, weight=-1.5),
-        root_height=RewardTerm(rewards.root_height_l2, {"target": 0.75}, weight=-5.0),
-        joint_acc=RewardTerm(rewards.JointAccelerationL2, weight=-2e-7),
-        action_rate=RewardTerm(rewards.action_rate_l2, weight=-0.02),
-        joint_limits=RewardTerm(rewards.joint_pos_limits, {"soft": 0.9}, weight=-3.0),
-        energy=RewardTerm(rewards.energy, weight=-2e-5),
-        arm_deviation=RewardTerm(rewards.joint_deviation_l1, {"joints": ".*(shoulder|elbow|wrist).*"}, weight=-0.1),
-        waist_deviation=RewardTerm(rewards.joint_deviation_l1, {"joints": "waist.*"}, weight=-0.5),
-        hip_deviation=RewardTerm(rewards.joint_deviation_l1, {"joints": ".*hip_(roll|yaw).*"}, weight=-0.5),
-        single_stance=RewardTerm(rewards.SingleStance, {"cap": 0.4}, weight=1.5),
-        foot_slide=RewardTerm(rewards.foot_slide, weight=-0.2),
-        foot_clearance=RewardTerm(
+        track_velocity=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
+        track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=1.0),
+        alive=RewardTermCfg(rewards.alive, weight=0.15),
+        fall=RewardTermCfg(rewards.fall, weight=-100.0),
+        slope_normal_velocity=RewardTermCfg(rewards.slope_normal_velocity_l2, weight=-1.0),
+        ang_vel_xy=RewardTermCfg(rewards.ang_vel_xy_l2, weight=-0.05),
+        roll=RewardTermCfg(rewards.roll_l2, weight=-3.0),
+        pitch=RewardTermCfg(rewards.pitch_l2, {"slope_share": 0.7}, weight=-1.5),
+        root_height=RewardTermCfg(rewards.root_height_l2, {"target": 0.75}, weight=-5.0),
+        joint_acc=RewardTermCfg(rewards.JointAccelerationL2, weight=-2e-7),
+        action_rate=RewardTermCfg(rewards.action_rate_l2, weight=-0.02),
+        joint_limits=RewardTermCfg(rewards.joint_pos_limits, {"soft": 0.9}, weight=-3.0),
+        energy=RewardTermCfg(rewards.energy, weight=-2e-5),
+        arm_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": ".*(shoulder|elbow|wrist).*"}, weight=-0.1),
+        waist_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": "waist.*"}, weight=-0.5),
+        hip_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": ".*hip_(roll|yaw).*"}, weight=-0.5),
+        single_stance=RewardTermCfg(rewards.SingleStance, {"cap": 0.4}, weight=1.5),
+        foot_slide=RewardTermCfg(rewards.foot_slide, weight=-0.2),
+        foot_clearance=RewardTermCfg(
             rewards.foot_clearance_exp, {"target": 0.08, "std": math.sqrt(0.02), "speed_scale": 2.0}, weight=0.5
         ),
-        body_contact=RewardTerm(rewards.body_contact, {"force": 1.0}, weight=-1.0),
+        body_contact=RewardTermCfg(rewards.body_contact, {"force": 1.0}, weight=-1.0),
     )
 
 
-def falls() -> Terms[TerminationTerm]:
+def falls() -> Terms[TerminationTermCfg]:
     """An episode fails when the robot is down or about to be; it merely ends at its time or at the tile's edge."""
     return Terms(
-        time_out=TerminationTerm(terminations.time_out, time_out=True),
-        off_tile=TerminationTerm(terminations.off_tile, {"margin": 0.3}, time_out=True),
-        root_too_low=TerminationTerm(terminations.root_too_low, {"height": 0.4}),
-        tilted=TerminationTerm(terminations.tilted, {"degrees": 55.0}),
+        time_out=TerminationTermCfg(terminations.time_out, time_out=True),
+        off_tile=TerminationTermCfg(terminations.off_tile, {"margin": 0.3}, time_out=True),
+        root_too_low=TerminationTermCfg(terminations.root_too_low, {"height": 0.4}),
+        tilted=TerminationTermCfg(terminations.tilted, {"degrees": 55.0}),
     )
 
 
-def randomisation() -> Terms[EventTerm]:
+def randomisation() -> Terms[EventTermCfg]:
     """What differs from world to world and from episode to episode, and the harness."""
     return Terms(
-        mass=EventTerm(events.randomize_mass, {"body": "torso_link", "added": (-1.0, 3.0)}, mode="startup"),
-        com=EventTerm(events.randomize_com, {"body": "torso_link", "offset": 0.03}, mode="startup"),
-        gains=EventTerm(events.randomize_gains, {"stiffness": (0.9, 1.1), "damping": (0.9, 1.1)}, mode="startup"),
-        friction=EventTerm(events.randomize_friction, {"friction": (0.3, 1.6), "slope_margin": 0.15}),
-        root=EventTerm(events.reset_on_tile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
-        joints=EventTerm(events.reset_joints, {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}),
-        push=EventTerm(events.push, {"speed": 0.5}, mode="interval", interval_s=(5.0, 8.0)),
-        harness=EventTerm(harness.Harness, mode="step"),
+        mass=EventTermCfg(events.randomize_mass, {"body": "torso_link", "added": (-1.0, 3.0)}, mode="startup"),
+        com=EventTermCfg(events.randomize_com, {"body": "torso_link", "offset": 0.03}, mode="startup"),
+        gains=EventTermCfg(events.randomize_gains, {"stiffness": (0.9, 1.1), "damping": (0.9, 1.1)}, mode="startup"),
+        friction=EventTermCfg(events.randomize_friction, {"friction": (0.3, 1.6), "slope_margin": 0.15}),
+        root=EventTermCfg(events.reset_on_tile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
+        joints=EventTermCfg(events.reset_joints, {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}),
+        push=EventTermCfg(events.push, {"speed": 0.5}, mode="interval", interval_s=(5.0, 8.0)),
+        harness=EventTermCfg(harness.Harness, mode="step"),
     )
 
 
@@ -117,18 +117,18 @@ def randomisation() -> Terms[EventTerm]:
 def stage1() -> TaskCfg:
     """Stage I: balance on mixed slopes with the slope-adaptive ZMP regulariser."""
     rewards_ = base_rewards()
-    rewards_.zmp = RewardTerm(balance.ZmpRegulariser, weight=0.5)
+    rewards_.zmp = RewardTermCfg(zmp.ZmpRegulariser, weight=0.5)
     return TaskCfg(
         env=EnvCfg(
             scene=SceneCfg(robot=UNITREE_G1, terrain=stage1_terrain()),
-            command=VelocityCommand(),
+            command=VelocityCommandCfg(),
             observations=Terms(actor=actor_group(), critic=critic_group()),
             rewards=rewards_,
             terminations=falls(),
             events=randomisation(),
             curriculum=Terms(
-                harness=Term(harness.WithdrawHarness),
-                terrain_levels=Term(curricula.TerrainLevels, {"harness": "harness"}),
+                harness=TermCfg(harness.HarnessCurriculum),
+                terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),
         ),
         agent=AgentCfg(),

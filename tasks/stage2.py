@@ -15,10 +15,18 @@ Without BSGA rewards the CoM has the base list's fixed reference height, as in S
 from __future__ import annotations
 
 from humoslope.env import EnvCfg, SceneCfg
-from humoslope.managers import EventTerm, ObservationGroup, ObservationTerm, RewardTerm, Term, Terms, VelocityCommand
-from humoslope.mdp import curricula, gait, observations
-from humoslope.registry import TaskCfg, WarmStart, task
-from humoslope.rl.config import AgentCfg
+from humoslope.learning.config import AgentCfg
+from humoslope.managers import (
+    EventTermCfg,
+    ObservationGroupCfg,
+    ObservationTermCfg,
+    RewardTermCfg,
+    TermCfg,
+    Terms,
+    VelocityCommandCfg,
+)
+from humoslope.mdp import bsga, curricula, observations
+from humoslope.registry import TaskCfg, WarmStartCfg, task
 from humoslope.slope.bsga import branch_weights
 from humoslope.slope.swing import PRIOR
 from robots.unitree_g1 import UNITREE_G1
@@ -26,14 +34,14 @@ from tasks.stage1 import actor_group, base_rewards, critic_group, falls, randomi
 from terrains.stage2 import stage2 as stage2_terrain
 
 
-def critic_with_cue() -> ObservationGroup:
+def critic_with_cue() -> ObservationGroupCfg:
     """Stage I's critic, and the terrain descriptor."""
     group = critic_group()
-    group.terms.terrain_descriptor = ObservationTerm(observations.terrain_descriptor)
+    group.terms.terrain_descriptor = ObservationTermCfg(observations.terrain_descriptor)
     return group
 
 
-def walking_rewards() -> Terms[RewardTerm]:
+def walking_rewards() -> Terms[RewardTermCfg]:
     """Stage I's base list with a narrower reward for speed: whoever can walk can be held to it. Stage I's last two
     million steps had it too, and came from 0.05 to 0.01 m/s off the speed on the flat (experiments/log.md)."""
     rewards = base_rewards()
@@ -42,21 +50,21 @@ def walking_rewards() -> Terms[RewardTerm]:
     return rewards
 
 
-def rewards_with_bsga() -> Terms[RewardTerm]:
+def rewards_with_bsga() -> Terms[RewardTermCfg]:
     """The base list without its fixed height, and BSGA's five terms under the paper's weights."""
     rewards = walking_rewards()
     rewards.root_height = None  # r_com asks for a height that fits the slope
     weight = branch_weights()
     swing = {"beta0": PRIOR.beta0, "beta1": PRIOR.beta1, "theta_clip": PRIOR.theta_clip}
-    rewards.com_height = RewardTerm(gait.ComHeight, {"nominal": 0.69}, weight=weight.com)
-    rewards.hip_propulsion = RewardTerm(gait.HipPropulsion, weight=weight.hip)
-    rewards.knee_braking = RewardTerm(gait.KneeBraking, weight=weight.brake)
-    rewards.stride = RewardTerm(gait.Stride, weight=weight.stride)
-    rewards.swing_hip = RewardTerm(gait.SwingHip, swing, weight=weight.swing)
+    rewards.com_height = RewardTermCfg(bsga.ComHeight, {"nominal": 0.69}, weight=weight.com)
+    rewards.hip_propulsion = RewardTermCfg(bsga.HipPropulsion, weight=weight.hip)
+    rewards.knee_braking = RewardTermCfg(bsga.KneeBraking, weight=weight.brake)
+    rewards.stride = RewardTermCfg(bsga.Stride, weight=weight.stride)
+    rewards.swing_hip = RewardTermCfg(bsga.SwingHip, swing, weight=weight.swing)
     return rewards
 
 
-def unaided() -> Terms[EventTerm]:
+def unaided() -> Terms[EventTermCfg]:
     """Stage I's randomisation without the harness: the actor can walk."""
     events = randomisation()
     events.harness = None
@@ -71,15 +79,15 @@ def stage2() -> TaskCfg:
             scene=SceneCfg(robot=UNITREE_G1, terrain=stage2_terrain()),
             episode_length_s=25.0,  # a track of 12 m at the mean speed
             # The benchmark's speed in the middle, and always along the track.
-            command=VelocityCommand(speed=(0.2, 0.8), heading_share=1.0),
+            command=VelocityCommandCfg(speed=(0.2, 0.8), heading_share=1.0),
             observations=Terms(actor=actor_group(), critic=critic_with_cue()),
             rewards=rewards_with_bsga(),
             terminations=falls(),
             events=unaided(),
-            curriculum=Terms(terrain_levels=Term(curricula.TerrainLevels, {"spread": 1.0})),
+            curriculum=Terms(terrain_levels=TermCfg(curricula.TerrainLevels, {"spread": 1.0})),
         ),
-        agent=AgentCfg(hold_actor=40, entropy_coef=0.001),
-        start=WarmStart(
+        agent=AgentCfg(critic_warmup_iterations=40, entropy_coef=0.001),
+        start=WarmStartCfg(
             "HumoSlope-Stage1-Unitree-G1", shipped="experiments/checkpoints/stage1.pt", calibrated="swing_hip"
         ),
     )
@@ -89,7 +97,7 @@ def stage2() -> TaskCfg:
 def stage2_no_zmp() -> TaskCfg:
     """Ablation: the Stage I that it starts from had no ZMP regulariser."""
     cfg = stage2()
-    cfg.start = WarmStart("HumoSlope-Stage1-NoZMP-Unitree-G1", calibrated="swing_hip")
+    cfg.start = WarmStartCfg("HumoSlope-Stage1-NoZMP-Unitree-G1", calibrated="swing_hip")
     return cfg
 
 

@@ -15,18 +15,18 @@ from __future__ import annotations
 import math
 
 from humoslope.env import EnvCfg, SceneCfg
+from humoslope.learning.config import AgentCfg
 from humoslope.managers import (
-    ObservationGroup,
-    ObservationTerm,
-    RewardTerm,
-    Term,
-    TerminationTerm,
+    ObservationGroupCfg,
+    ObservationTermCfg,
+    RewardTermCfg,
+    TermCfg,
+    TerminationTermCfg,
     Terms,
-    VelocityCommand,
+    VelocityCommandCfg,
 )
 from humoslope.mdp import curricula, harness, observations, rewards, terminations, unitree_rl_lab
 from humoslope.registry import TaskCfg, task
-from humoslope.rl.config import AgentCfg
 from robots.unitree_g1 import UNITREE_G1
 from robots.unitree_g1.model import SOLE_CENTRE
 from tasks.stage1 import actor_group, falls, proprioception, randomisation
@@ -40,36 +40,36 @@ CLEARANCE = {"target": 0.1 + SOLE_CENTRE[2], "std": math.sqrt(0.05), "speed_scal
 """Unitree means the ankle by "foot height", and aims at 0.1 m."""
 
 
-def critic_group() -> ObservationGroup:
+def critic_group() -> ObservationGroupCfg:
     """Velocity, and what the actor sees without its noise, over as many steps."""
-    terms = {"base_lin_vel": ObservationTerm(observations.base_lin_vel)} | dict(proprioception().items())
-    return ObservationGroup(terms=Terms(**terms), history=5)
+    terms = {"base_lin_vel": ObservationTermCfg(observations.base_lin_vel)} | dict(proprioception().items())
+    return ObservationGroupCfg(terms=Terms(**terms), history=5)
 
 
-def url_rewards() -> Terms[RewardTerm]:
+def url_rewards() -> Terms[RewardTermCfg]:
     """The published list with its weights, per second."""
     return Terms(
-        track_velocity=RewardTerm(unitree_rl_lab.track_horizontal_velocity_exp, {"std": 0.5}, weight=1.0),
-        track_yaw_rate=RewardTerm(unitree_rl_lab.track_body_yaw_rate_exp, {"std": 0.5}, weight=0.5),
-        alive=RewardTerm(rewards.alive, weight=0.15),
-        lin_vel_z=RewardTerm(unitree_rl_lab.lin_vel_z_l2, weight=-2.0),
-        ang_vel_xy=RewardTerm(rewards.ang_vel_xy_l2, weight=-0.05),
-        joint_vel=RewardTerm(unitree_rl_lab.joint_vel_l2, weight=-1e-3),
-        joint_acc=RewardTerm(rewards.JointAccelerationL2, weight=-2.5e-7),
-        action_rate=RewardTerm(rewards.action_rate_l2, weight=-0.05),
-        joint_limits=RewardTerm(rewards.joint_pos_limits, {"soft": 0.9}, weight=-5.0),
-        energy=RewardTerm(rewards.energy, weight=-2e-5),
-        arm_deviation=RewardTerm(rewards.joint_deviation_l1, {"joints": ".*(shoulder|elbow|wrist).*"}, weight=-0.1),
-        waist_deviation=RewardTerm(rewards.joint_deviation_l1, {"joints": "waist.*"}, weight=-1.0),
-        hip_deviation=RewardTerm(rewards.joint_deviation_l1, {"joints": ".*hip_(roll|yaw).*"}, weight=-1.0),
-        flat_orientation=RewardTerm(unitree_rl_lab.flat_orientation_l2, weight=-5.0),
-        root_height=RewardTerm(unitree_rl_lab.base_height_world_l2, dict(ROOT_HEIGHT), weight=-10.0),
-        gait=RewardTerm(
+        track_velocity=RewardTermCfg(unitree_rl_lab.track_horizontal_velocity_exp, {"std": 0.5}, weight=1.0),
+        track_yaw_rate=RewardTermCfg(unitree_rl_lab.track_body_yaw_rate_exp, {"std": 0.5}, weight=0.5),
+        alive=RewardTermCfg(rewards.alive, weight=0.15),
+        lin_vel_z=RewardTermCfg(unitree_rl_lab.lin_vel_z_l2, weight=-2.0),
+        ang_vel_xy=RewardTermCfg(rewards.ang_vel_xy_l2, weight=-0.05),
+        joint_vel=RewardTermCfg(unitree_rl_lab.joint_vel_l2, weight=-1e-3),
+        joint_acc=RewardTermCfg(rewards.JointAccelerationL2, weight=-2.5e-7),
+        action_rate=RewardTermCfg(rewards.action_rate_l2, weight=-0.05),
+        joint_limits=RewardTermCfg(rewards.joint_pos_limits, {"soft": 0.9}, weight=-5.0),
+        energy=RewardTermCfg(rewards.energy, weight=-2e-5),
+        arm_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": ".*(shoulder|elbow|wrist).*"}, weight=-0.1),
+        waist_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": "waist.*"}, weight=-1.0),
+        hip_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": ".*hip_(roll|yaw).*"}, weight=-1.0),
+        flat_orientation=RewardTermCfg(unitree_rl_lab.flat_orientation_l2, weight=-5.0),
+        root_height=RewardTermCfg(unitree_rl_lab.base_height_world_l2, dict(ROOT_HEIGHT), weight=-10.0),
+        gait=RewardTermCfg(
             unitree_rl_lab.gait_clock, {"period": 0.8, "stance_share": 0.55, "least_command": 0.1}, weight=0.5
         ),
-        foot_slide=RewardTerm(unitree_rl_lab.foot_slide_horizontal, weight=-0.2),
-        foot_clearance=RewardTerm(unitree_rl_lab.foot_clearance_world_exp, dict(CLEARANCE), weight=1.0),
-        body_contact=RewardTerm(rewards.body_contact, {"force": 1.0}, weight=-1.0),
+        foot_slide=RewardTermCfg(unitree_rl_lab.foot_slide_horizontal, weight=-0.2),
+        foot_clearance=RewardTermCfg(unitree_rl_lab.foot_clearance_world_exp, dict(CLEARANCE), weight=1.0),
+        body_contact=RewardTermCfg(rewards.body_contact, {"force": 1.0}, weight=-1.0),
     )
 
 
@@ -77,19 +77,19 @@ def url_rewards() -> Terms[RewardTerm]:
 def url_literal() -> TaskCfg:
     """Baseline: Unitree RL Lab's rewards as published, heights in the world frame."""
     ends = falls()
-    ends.root_too_low = TerminationTerm(unitree_rl_lab.root_too_low_in_world, dict(LOWEST_ROOT))
-    ends.tilted = TerminationTerm(terminations.tilted, {"degrees": math.degrees(0.8)})
+    ends.root_too_low = TerminationTermCfg(unitree_rl_lab.root_too_low_in_world, dict(LOWEST_ROOT))
+    ends.tilted = TerminationTermCfg(terminations.tilted, {"degrees": math.degrees(0.8)})
     return TaskCfg(
         env=EnvCfg(
             scene=SceneCfg(robot=UNITREE_G1, terrain=stage1_terrain()),
-            command=VelocityCommand(),
+            command=VelocityCommandCfg(),
             observations=Terms(actor=actor_group(), critic=critic_group()),
             rewards=url_rewards(),
             terminations=ends,
             events=randomisation(),
             curriculum=Terms(
-                harness=Term(harness.WithdrawHarness),
-                terrain_levels=Term(curricula.TerrainLevels, {"harness": "harness"}),
+                harness=TermCfg(harness.HarnessCurriculum),
+                terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),
         ),
         agent=AgentCfg(init_std=1.0, obs_normalization=False, symmetry=False, entropy_coef=0.01),
@@ -100,7 +100,7 @@ def url_literal() -> TaskCfg:
 def url_terrain_relative() -> TaskCfg:
     """Baseline: Unitree RL Lab's rewards with heights of root and feet taken over the ground."""
     cfg = url_literal()
-    cfg.env.rewards.root_height = RewardTerm(rewards.root_height_l2, dict(ROOT_HEIGHT), weight=-10.0)
-    cfg.env.rewards.foot_clearance = RewardTerm(rewards.foot_clearance_exp, dict(CLEARANCE), weight=1.0)
-    cfg.env.terminations.root_too_low = TerminationTerm(terminations.root_too_low, dict(LOWEST_ROOT))
+    cfg.env.rewards.root_height = RewardTermCfg(rewards.root_height_l2, dict(ROOT_HEIGHT), weight=-10.0)
+    cfg.env.rewards.foot_clearance = RewardTermCfg(rewards.foot_clearance_exp, dict(CLEARANCE), weight=1.0)
+    cfg.env.terminations.root_too_low = TerminationTermCfg(terminations.root_too_low, dict(LOWEST_ROOT))
     return cfg

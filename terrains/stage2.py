@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from humoslope.terrain import TerrainGrid
+from humoslope.terrain import TerrainGridCfg
 
 
-def stage2() -> TerrainGrid:
+def stage2() -> TerrainGridCfg:
     """Mostly tracks of two ramps, up and down in either order, with all five surfaces; longer than those of Stage I, so
     that a robot meets every transition within an episode. Layout and seed are not the held-out track's."""
-    return TerrainGrid(
+    return TerrainGridCfg(
         columns={
             "compound": 0.65,
             "ramp-up": 0.1,

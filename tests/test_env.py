@@ -12,12 +12,12 @@ import torch
 from rich.console import Console
 from torch import Tensor
 
-from humoslope import wreck
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.managers import Terms
 from humoslope.registry import build_task
-from humoslope.terrain import TerrainGrid
+from humoslope.sim import divergence
+from humoslope.terrain import TerrainGridCfg
 
 J = 29
 
@@ -33,13 +33,13 @@ def noise(env: ManagerBasedRlEnv, step: int, scale: float = 0.3) -> Tensor:
 
 def few_tiles(cfg: EnvCfg) -> None:
     """A smaller ground, quickly built."""
-    cfg.scene.terrain = TerrainGrid(columns={"ramp-up": 1.0, "rough-ramp-down": 1.0}, levels=3, num_columns=2)
+    cfg.scene.terrain = TerrainGridCfg(columns={"ramp-up": 1.0, "rough-ramp-down": 1.0}, levels=3, num_columns=2)
 
 
 def noiseless(cfg: EnvCfg) -> None:
     """On a smaller ground; a reset elsewhere draws numbers that would change what noise the other worlds get."""
     few_tiles(cfg)
-    cfg.observations.actor.corrupt = False
+    cfg.observations.actor.enable_corruption = False
 
 
 def undisturbed(cfg: EnvCfg) -> None:
@@ -47,7 +47,7 @@ def undisturbed(cfg: EnvCfg) -> None:
     few_tiles(cfg)
     cfg.events = Terms(root=cfg.events.root, joints=cfg.events.joints)
     cfg.curriculum = Terms()
-    cfg.observations.actor.corrupt = False
+    cfg.observations.actor.enable_corruption = False
 
 
 # The physics
@@ -230,7 +230,7 @@ def test_a_world_that_diverges_is_reset_counted_and_kept_for_a_look_and_the_othe
     env, twin = make_stage1(8, noiseless), make_stage1(8, noiseless)
     for one in (env, twin):
         torch.manual_seed(5)
-        for step in range(wreck.STEPS):
+        for step in range(divergence.STEPS):
             one.step(noise(one, step))
         one.log.flush()
     field, value = BROKEN[accident]
@@ -259,16 +259,16 @@ def test_a_world_that_diverges_is_reset_counted_and_kept_for_a_look_and_the_othe
     logged = env.log.flush()
     assert all(np.isfinite(list(logged.values())))
     assert logged["Train/diverged"] == pytest.approx(1 / 8 / 3)
-    assert twin.take_wreck() is None
-    states = env.take_wreck()
+    assert twin.take_divergence() is None
+    states = env.take_divergence()
     assert states is not None
     qpos, qvel = states
-    assert qpos.shape == (wreck.STEPS, 36)
-    assert qvel.shape == (wreck.STEPS, 35)
+    assert qpos.shape == (divergence.STEPS, 36)
+    assert qvel.shape == (divergence.STEPS, 35)
     assert qpos[:-1].isfinite().all()  # how it came to it
     assert (qpos[:-1, 7:].diff(dim=0).abs().amax(dim=1) > 0.0).all()  # step by step, oldest first
     assert qpos[:-1, 7:].diff(dim=0).abs().max() < 0.5
-    assert env.take_wreck() is None
+    assert env.take_divergence() is None
 
 
 def test_a_policy_that_gives_nan_harms_nothing(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
@@ -336,7 +336,11 @@ def test_the_ablations_of_stage_one_differ_in_the_zmp_alone(task: str, zmp: dict
         assert terms == others
     for group, other in zip(cfg.observations.items(), full.observations.items(), strict=True):
         assert dict(group[1].terms.items()) == dict(other[1].terms.items())
-        assert (group[0], group[1].history, group[1].corrupt) == (other[0], other[1].history, other[1].corrupt)
+        assert (group[0], group[1].history, group[1].enable_corruption) == (
+            other[0],
+            other[1].history,
+            other[1].enable_corruption,
+        )
     cfg.num_envs = 2
     cfg.sim.backend = "native"
     few_tiles(cfg)

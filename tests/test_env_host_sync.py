@@ -14,8 +14,8 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.managers import ObservationTerm, RewardTerm
-from humoslope.mdp import gait, observations
+from humoslope.managers import ObservationTermCfg, RewardTermCfg
+from humoslope.mdp import bsga, observations
 from humoslope.slope.descriptor import phi5
 
 aten = torch.ops.aten
@@ -116,12 +116,12 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
     make_stage1: Callable[..., ManagerBasedRlEnv], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def change(cfg: EnvCfg) -> None:
-        cfg.observations.critic.terms.terrain_descriptor = ObservationTerm(observations.terrain_descriptor)
-        cfg.rewards.com_height = RewardTerm(gait.ComHeight, {"nominal": 0.69})
-        cfg.rewards.hip = RewardTerm(gait.HipPropulsion)
-        cfg.rewards.brake = RewardTerm(gait.KneeBraking)
-        cfg.rewards.stride = RewardTerm(gait.Stride)
-        cfg.rewards.swing = RewardTerm(gait.SwingHip, {"beta0": 0.45, "beta1": 1.0, "theta_clip": 0.5})
+        cfg.observations.critic.terms.terrain_descriptor = ObservationTermCfg(observations.terrain_descriptor)
+        cfg.rewards.com_height = RewardTermCfg(bsga.ComHeight, {"nominal": 0.69})
+        cfg.rewards.hip = RewardTermCfg(bsga.HipPropulsion)
+        cfg.rewards.brake = RewardTermCfg(bsga.KneeBraking)
+        cfg.rewards.stride = RewardTermCfg(bsga.Stride)
+        cfg.rewards.swing = RewardTermCfg(bsga.SwingHip, {"beta0": 0.45, "beta1": 1.0, "theta_clip": 0.5})
 
     env = make_stage1(16, change)
     actions = [0.3 * torch.randn(16, 29) for _ in range(20)]
@@ -152,11 +152,11 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
     assert env.events._time_left["push"][pushed] > 4.0
     assert env.commands.velocity[asked, 0] != command[0]
     assert env.log.flush()["Train/diverged"] > 0.0
-    assert env.take_wreck() is not None
+    assert env.take_divergence() is not None
     assert reward.isfinite().all()
     assert obs["actor"].isfinite().all()
-    assert env.patch.descriptor.valid.all()
-    assert obs["critic"][:, -5:].equal(phi5(env.patch.descriptor))
+    assert env.height_scan.descriptor.valid.all()
+    assert obs["critic"][:, -5:].equal(phi5(env.height_scan.descriptor))
 
 
 X = torch.arange(4.0)

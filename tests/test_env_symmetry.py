@@ -15,9 +15,9 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.managers import Terms, VelocityCommand
-from humoslope.rl.symmetry import Mirror
-from humoslope.terrain import TerrainGrid
+from humoslope.learning.symmetry import Mirror
+from humoslope.managers import Terms, VelocityCommandCfg
+from humoslope.terrain import TerrainGridCfg
 from robots.unitree_g1 import UNITREE_G1
 
 PAIRS = 6
@@ -46,11 +46,11 @@ def symmetric_spec() -> mujoco.MjSpec:
 
 
 def on_flat_ground(cfg: EnvCfg) -> None:
-    cfg.scene.terrain = TerrainGrid(columns={"flat": 1.0}, levels=1, num_columns=1)
+    cfg.scene.terrain = TerrainGridCfg(columns={"flat": 1.0}, levels=1, num_columns=1)
     cfg.events = Terms(root=cfg.events.root)
     cfg.curriculum = Terms()
-    cfg.observations.actor.corrupt = False
-    cfg.command = VelocityCommand(heading_share=1.0, standing_share=0.0, resample_s=(1e6, 1e6))
+    cfg.observations.actor.enable_corruption = False
+    cfg.command = VelocityCommandCfg(heading_share=1.0, standing_share=0.0, resample_s=(1e6, 1e6))
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -13,40 +14,40 @@ from rich.console import Console
 from tensordict import TensorDict
 from torch import Tensor
 
+from humoslope.cpu import on_one_thread
 from humoslope.errors import UserError
 from humoslope.managers import (
     ActionManager,
     CommandManager,
     CurriculumManager,
     EventManager,
-    EventTerm,
-    JointPositionAction,
+    EventTermCfg,
+    JointPositionActionCfg,
     Log,
-    ObservationGroup,
+    ObservationGroupCfg,
     ObservationManager,
     RewardManager,
-    RewardTerm,
-    Term,
+    RewardTermCfg,
+    TermCfg,
     TerminationManager,
-    TerminationTerm,
+    TerminationTermCfg,
     Terms,
-    VelocityCommand,
+    VelocityCommandCfg,
 )
-from humoslope.scene.patch import GroundPatch, PatchCfg
+from humoslope.scene.height_scan import HeightScan, HeightScanCfg
 from humoslope.scene.robot import Robot
 from humoslope.scene.scene import build_model
 from humoslope.scene.signals import Signals
 from humoslope.scene.tiles import Tiles
 from humoslope.sim import make_simulation
-from humoslope.strict import Strict
-from humoslope.terrain.grid import TerrainGrid, TileRow
+from humoslope.sim.divergence import DivergenceRecorder
+from humoslope.strict import StrictCfg
+from humoslope.terrain.grid import TerrainGridCfg, TileRowCfg
 from humoslope.terrain.queries import TerrainQueries
-from humoslope.threads import on_one_thread
-from humoslope.wreck import WreckRecorder
 
 
 @dataclass
-class SimCfg(Strict):
+class SimCfg(StrictCfg):
     """Physics.
 
     Attributes:
@@ -68,16 +69,16 @@ class SimCfg(Strict):
 
 
 @dataclass
-class SceneCfg(Strict):
+class SceneCfg(StrictCfg):
     """The robot, the ground it walks on, and what is scanned of it."""
 
     robot: Robot
-    terrain: TerrainGrid | TileRow
-    patch: PatchCfg = field(default_factory=PatchCfg)
+    terrain: TerrainGridCfg | TileRowCfg
+    height_scan: HeightScanCfg = field(default_factory=HeightScanCfg)
 
 
 @dataclass
-class EnvCfg(Strict):
+class EnvCfg(StrictCfg):
     """Everything that defines an environment."""
 
     scene: SceneCfg
@@ -85,13 +86,13 @@ class EnvCfg(Strict):
     num_envs: int = 512
     episode_length_s: float = 20.0
     seed: int = 1
-    actions: JointPositionAction = field(default_factory=JointPositionAction)
-    command: VelocityCommand = field(default_factory=VelocityCommand)
-    observations: Terms[ObservationGroup] = field(default_factory=Terms)
-    rewards: Terms[RewardTerm] = field(default_factory=Terms)
-    terminations: Terms[TerminationTerm] = field(default_factory=Terms)
-    events: Terms[EventTerm] = field(default_factory=Terms)
-    curriculum: Terms[Term] = field(default_factory=Terms)
+    actions: JointPositionActionCfg = field(default_factory=JointPositionActionCfg)
+    command: VelocityCommandCfg = field(default_factory=VelocityCommandCfg)
+    observations: Terms[ObservationGroupCfg] = field(default_factory=Terms)
+    rewards: Terms[RewardTermCfg] = field(default_factory=Terms)
+    terminations: Terms[TerminationTermCfg] = field(default_factory=Terms)
+    events: Terms[EventTermCfg] = field(default_factory=Terms)
+    curriculum: Terms[TermCfg] = field(default_factory=Terms)
 
 
 class ManagerBasedRlEnv:
@@ -127,14 +128,14 @@ class ManagerBasedRlEnv:
         self.terrain = TerrainQueries(terrain, self.device)
         self.tiles = Tiles(terrain, cfg.num_envs, self.device)
         self.signals = Signals(self.sim, self.robot, self.terrain)
-        self.patch = GroundPatch(cfg.scene.patch, self.signals, self.terrain, self.tiles)
+        self.height_scan = HeightScan(cfg.scene.height_scan, self.signals, self.terrain, self.tiles)
         self.default_joint_pos = torch.tensor(self.robot.default_joint_pos, device=self.device)  # [J] rad
         root = (0.0, 0.0, self.robot.default_root_height, 1.0, 0.0, 0.0, 0.0)
         self._default_qpos = torch.tensor([*root, *self.robot.default_joint_pos], device=self.device)  # [nq]
         ranges = [self.sim.model.joint(name).range for name in self.robot.joint_names]
         self.joint_range = torch.tensor(np.array(ranges), dtype=torch.float32, device=self.device)  # [J, 2] rad
         self._qpos, self._qvel = self.sim.state("qpos"), self.sim.state("qvel")
-        self._wreck = WreckRecorder(self._qpos, self._qvel)
+        self._divergence = DivergenceRecorder(self._qpos, self._qvel)
         self.diverged = self.zeros(dtype=torch.bool)  # [N] in the last step
 
         self.commands = CommandManager(self, cfg.command)
@@ -145,6 +146,7 @@ class ManagerBasedRlEnv:
         self.terminations = TerminationManager(self, cfg.terminations)
         everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._restart(everywhere)
+        self.observers: list[Callable[[ManagerBasedRlEnv], None]] = []  # called after rewards, before resets
         self.observations = ObservationManager(self, cfg.observations)
         self.rewards = RewardManager(self, cfg.rewards)
         self._obs = self.observations.compute(everywhere)
@@ -163,10 +165,10 @@ class ManagerBasedRlEnv:
         self.actions.process(action)
         self.sim.step(self.cfg.sim.decimation, active)
         self.diverged = broken = self.sim.diverged()
-        self._wreck.add(self._qpos, self._qvel)
+        self._divergence.add(self._qpos, self._qvel)
         whole = self.sim.known_empty(broken)
         if not whole:
-            self._wreck.keep(broken)
+            self._divergence.keep(broken)
         self.signals.refresh(None if whole else broken)
         self.episode_length_buf = self.episode_length_buf + 1  # the log keeps the old one
 
@@ -177,6 +179,8 @@ class ManagerBasedRlEnv:
         self.log.add("Train/diverged", broken)
         self.log.add("Train/falls_per_second", terminated / self.step_dt)
         self.log.add("Train/speed", self.signals.root_lin_vel_t[:, 0], self.commands.moving)
+        for observe in self.observers:
+            observe(self)
         self.events.step(self.step_dt)
         self._reset(done)
         self.commands.step(self.step_dt)
@@ -207,10 +211,10 @@ class ManagerBasedRlEnv:
         self.commands.reset(mask)
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
 
-    def take_wreck(self) -> tuple[Tensor, Tensor] | None:
+    def take_divergence(self) -> tuple[Tensor, Tensor] | None:
         """qpos [K, nq] and qvel [K, nv] before the first divergence since the last call, or None.
         Waits for the device."""
-        return self._wreck.take()
+        return self._divergence.take()
 
     def zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
         """A zero tensor [N, *shape] on the environment's device."""

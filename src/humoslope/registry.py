@@ -12,12 +12,12 @@ from pathlib import Path
 import humoslope
 from humoslope.env import EnvCfg
 from humoslope.errors import UserError, unknown
-from humoslope.rl.config import AgentCfg
-from humoslope.strict import Strict
+from humoslope.learning.config import AgentCfg
+from humoslope.strict import StrictCfg
 
 
 @dataclass
-class WarmStart(Strict):
+class WarmStartCfg(StrictCfg):
     """The task that another one goes on from: with its actor, and with what was measured of it.
 
     Attributes:
@@ -32,12 +32,12 @@ class WarmStart(Strict):
 
 
 @dataclass
-class TaskCfg(Strict):
+class TaskCfg(StrictCfg):
     """A task: the environment, how it is learnt, and what it starts from (None: from nothing)."""
 
     env: EnvCfg
     agent: AgentCfg
-    start: WarmStart | None = None
+    start: WarmStartCfg | None = None
 
 
 TaskFunction = Callable[[], TaskCfg]

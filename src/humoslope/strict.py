@@ -8,7 +8,7 @@ from typing import Any
 from humoslope.errors import unknown
 
 
-class Strict:
+class StrictCfg:
     """Base of configuration dataclasses:
     assigning to a field that does not exist is an error, with the nearest match."""
 

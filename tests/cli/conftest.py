@@ -10,9 +10,9 @@ from rich.console import Console
 
 from humoslope.cli import main
 from humoslope.env import ManagerBasedRlEnv
+from humoslope.learning.runner import Runner
+from humoslope.presets import apply_preset
 from humoslope.registry import build_task
-from humoslope.rl.config import apply_preset
-from humoslope.rl.runner import Runner
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
 

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from humoslope.cli import bench, main
-from humoslope.rl.benchmark import Measurement
+from humoslope.learning.benchmark import Measurement
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
 

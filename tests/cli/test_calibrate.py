@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from humoslope.cli import main
-from humoslope.evaluation.calibration_file import check_belongs, load_calibration
+from humoslope.evaluation.swing.file import check_belongs, load_calibration
 
 WALKER = Path(__file__).parents[2] / "experiments/checkpoints/stage1.pt"
 QUICK = ("--grades", "-10", "0", "10", "15", "20", "--starts", "1", "--seconds", "6.5", "--least-samples", "10")

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from humoslope.cli import main
-from humoslope.evaluation.calibration_file import load_calibration
-from humoslope.rl import checkpoint
-from humoslope.rl.policy import read_provenance
+from humoslope.evaluation.swing.file import load_calibration
+from humoslope.learning import checkpoint
+from humoslope.learning.policy import read_provenance
 
 WALKER = Path(__file__).parents[2] / "experiments/checkpoints/stage1.pt"
 STAGE_1, STAGE_2 = "HumoSlope-Stage1-Unitree-G1", "HumoSlope-Stage2-Unitree-G1"

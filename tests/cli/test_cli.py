@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from humoslope.cli import VERBS, main
-from humoslope.rl import checkpoint
+from humoslope.learning import checkpoint
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
 OTHER_TASK = "HumoSlope-Stage1-NoZMP-Unitree-G1"

@@ -12,8 +12,8 @@ import pytest
 from torch.utils.tensorboard import SummaryWriter
 
 from humoslope.cli import main
-from humoslope.evaluation.compare import shortened
-from humoslope.evaluation.curve import STEPS
+from humoslope.evaluation.report.compare import shortened
+from humoslope.evaluation.report.curve import STEPS
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,7 +9,7 @@ import pytest
 from torch.utils.tensorboard import SummaryWriter
 
 from humoslope.cli import main
-from humoslope.evaluation.curve import PANELS, STEPS, read_table
+from humoslope.evaluation.report.curve import PANELS, STEPS, read_table
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from humoslope.cli import main
-from humoslope.evaluation.live import Progress
+from humoslope.evaluation.track.progress import Progress
 
 TINY = ("--grades", "0", "30", "--tiers", "0.6", "--trials", "2", "--lanes", "1", "--timeout-s", "1.2")
 

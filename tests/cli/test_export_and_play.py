@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from humoslope.cli import main
-from humoslope.play import contract as contracts
-from humoslope.play import live
+from humoslope.deploy import contract as contracts
+from humoslope.deploy import window
 from robots.unitree_g1 import UNITREE_G1
 
 
@@ -54,11 +54,11 @@ def test_one_walk_is_told_and_several_are_counted(exported: Path, capsys: pytest
 def test_a_window_is_opened_where_there_is_a_display(
     exported: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(live, "check_display", lambda: None)
-    monkeypatch.setattr(live, "live", lambda player, say: say("It fell."))
+    monkeypatch.setattr(window, "check_display", lambda: None)
+    monkeypatch.setattr(window, "live", lambda player, say: say("It fell."))
     assert main(["play", str(exported)]) == 0
     printed = capsys.readouterr().out
-    assert live.KEYS in printed
+    assert window.KEYS in printed
     assert "It fell." in printed
 
 

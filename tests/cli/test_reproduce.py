@@ -112,5 +112,5 @@ def test_the_baseline_learns_as_stage_1_does_from_its_first_walk(reproduce) -> N
             runs[task] = (args.init, cfg.agent)
     init, agent = runs["URL-TerrainRelative-Unitree-G1"]
     assert init == f"{reproduce.out}/stage1/model_4.pt"
-    assert agent.hold_actor > 0
-    assert replace(agent, hold_actor=0) == runs["HumoSlope-Stage1-Unitree-G1"][1]
+    assert agent.critic_warmup_iterations > 0
+    assert replace(agent, critic_warmup_iterations=0) == runs["HumoSlope-Stage1-Unitree-G1"][1]

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from humoslope.evaluation.metrics import BIN, GROUPS, PROFILE, TrackTrials
-from humoslope.evaluation.results import tell
+from humoslope.evaluation.report.results import tell
+from humoslope.evaluation.track.metrics import BIN, GROUPS, PROFILE, TrackTrials
 from humoslope.terrain.course import Segment
 
 GRADES, TIERS, TRIALS = (0.0, 10.0, 20.0, 30.0), (0.3, 0.6, 0.9), 8

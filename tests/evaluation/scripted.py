@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from humoslope.evaluation.metrics import StepSample, TrackRecorder, TrackTrials
+from humoslope.evaluation.track.metrics import StepSample, TrackRecorder, TrackTrials
 from robots.unitree_g1 import UNITREE_G1
 
 DT = 0.02

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from humoslope.errors import UserError
-from humoslope.managers import ActionManager, JointPositionAction
+from humoslope.managers import ActionManager, JointPositionActionCfg
 
 N, J = 3, 2
 DEFAULT, SCALE = torch.tensor([0.1, -0.2]), torch.tensor([0.5, 0.25])
@@ -22,7 +22,7 @@ def env(make_env):
 
 
 def test_an_action_of_zero_holds_the_default_pose_and_one_moves_by_the_robots_scale(env):
-    actions = ActionManager(env, JointPositionAction(scale_factor=2.0))
+    actions = ActionManager(env, JointPositionActionCfg(scale_factor=2.0))
     actions.process(torch.zeros(N, J))
     torch.testing.assert_close(env.ctrl.float(), DEFAULT.expand(N, J))
     actions.process(torch.tensor([[1.0, -4.0]]).repeat(N, 1))
@@ -30,7 +30,7 @@ def test_an_action_of_zero_holds_the_default_pose_and_one_moves_by_the_robots_sc
 
 
 def test_the_last_two_actions_are_remembered_until_the_world_starts_anew(env, mask):
-    actions = ActionManager(env, JointPositionAction())
+    actions = ActionManager(env, JointPositionActionCfg())
     for value in (1.0, 2.0):
         actions.process(torch.full((N, J), value))
     assert actions.action.unique().tolist() == [2.0]
@@ -43,7 +43,7 @@ def test_the_last_two_actions_are_remembered_until_the_world_starts_anew(env, ma
 
 
 def test_a_policy_that_diverged_writes_no_nan_into_the_physics(env):
-    actions = ActionManager(env, JointPositionAction())
+    actions = ActionManager(env, JointPositionActionCfg())
     given = torch.tensor([[torch.nan, torch.inf], [-torch.inf, 1.0], [0.0, 0.0]])
     actions.process(given)
     assert env.ctrl.isfinite().all()
@@ -52,18 +52,18 @@ def test_a_policy_that_diverged_writes_no_nan_into_the_physics(env):
 
 
 def test_the_learner_may_write_its_tensor_again(env):
-    actions, given = ActionManager(env, JointPositionAction()), torch.ones(N, J)
+    actions, given = ActionManager(env, JointPositionActionCfg()), torch.ones(N, J)
     actions.process(given)
     given.fill_(9.0)
     assert actions.action.unique().tolist() == [1.0]
 
 
 def test_actions_are_not_clipped(env):
-    ActionManager(env, JointPositionAction()).process(torch.full((N, J), 6.0))
+    ActionManager(env, JointPositionActionCfg()).process(torch.full((N, J), 6.0))
     torch.testing.assert_close(env.ctrl.float(), (DEFAULT + 6.0 * SCALE).expand(N, J))
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0])
 def test_a_scale_that_moves_nothing_is_refused(env, factor):
     with pytest.raises(UserError, match="scale_factor .* must be positive"):
-        ActionManager(env, JointPositionAction(scale_factor=factor))
+        ActionManager(env, JointPositionActionCfg(scale_factor=factor))

@@ -11,17 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from humoslope.errors import UserError
-from humoslope.managers import CommandManager, VelocityCommand
+from humoslope.managers import CommandManager, VelocityCommandCfg
 
 N = 1000
-STEERED = VelocityCommand(
+STEERED = VelocityCommandCfg(
     heading_share=1.0, standing_share=0.0, heading_gain=0.5, lateral_gain=0.3, yaw_rate_limit=10.0
 )
 
 
 @pytest.fixture(scope="module")
 def make_commands(make_env):
-    def make(cfg: VelocityCommand, num_envs: int = N, heading: float = 0.0, y: float = 0.0) -> CommandManager:
+    def make(cfg: VelocityCommandCfg, num_envs: int = N, heading: float = 0.0, y: float = 0.0) -> CommandManager:
         signals = SimpleNamespace(
             root_pos_w=torch.tensor([[0.0, y, 0.0]]).repeat(num_envs, 1), heading_w=torch.full((num_envs,), heading)
         )
@@ -34,7 +34,7 @@ def make_commands(make_env):
 
 
 def test_commands_fill_their_ranges_and_stay_within(make_commands):
-    cfg = VelocityCommand(
+    cfg = VelocityCommandCfg(
         speed=(0.3, 0.8), lateral=(-0.2, 0.1), yaw_rate=(-0.4, 0.3), heading_share=0.0, standing_share=0.0
     )
     velocity = make_commands(cfg).velocity
@@ -45,7 +45,7 @@ def test_commands_fill_their_ranges_and_stay_within(make_commands):
 
 
 def test_the_asked_share_of_worlds_stands_and_is_asked_for_nothing(make_commands):
-    commands = make_commands(VelocityCommand(standing_share=0.3))
+    commands = make_commands(VelocityCommandCfg(standing_share=0.3))
     standing = ~commands.moving
     assert 0.25 < standing.float().mean() < 0.35
     assert commands.velocity[standing].count_nonzero() == 0
@@ -53,7 +53,7 @@ def test_the_asked_share_of_worlds_stands_and_is_asked_for_nothing(make_commands
 
 
 def test_the_asked_share_of_worlds_steers(make_commands):
-    cfg = VelocityCommand(heading_share=0.6, standing_share=0.0, yaw_rate=(0.1, 0.3))
+    cfg = VelocityCommandCfg(heading_share=0.6, standing_share=0.0, yaw_rate=(0.1, 0.3))
     steers = make_commands(cfg).velocity[:, 2] == 0.0  # they already face along their tile
     assert 0.55 < steers.float().mean() < 0.65
 
@@ -70,12 +70,12 @@ def test_a_world_off_its_centre_line_turns_towards_it(make_commands, y):
 
 @given(heading=st.floats(-3.1, 3.1), y=st.floats(-5.0, 5.0))
 def test_steering_stays_within_its_limit(make_commands, heading, y):
-    cfg = VelocityCommand(heading_share=1.0, standing_share=0.0, yaw_rate_limit=0.3)
+    cfg = VelocityCommandCfg(heading_share=1.0, standing_share=0.0, yaw_rate_limit=0.3)
     assert make_commands(cfg, 1, heading, y).velocity[0, 2].abs() <= 0.3 + 1e-6
 
 
 def test_a_steered_path_comes_back_to_the_centre_line_and_stays(make_commands):
-    commands = make_commands(VelocityCommand(heading_share=1.0, standing_share=0.0, speed=(0.5, 0.5)), num_envs=1)
+    commands = make_commands(VelocityCommandCfg(heading_share=1.0, standing_share=0.0, speed=(0.5, 0.5)), num_envs=1)
     signals = commands._env.signals
     signals.root_pos_w, signals.heading_w = torch.tensor([[0.0, 1.0, 0.0]]), torch.tensor([2.0])
     for _ in range(600):  # a minute of a unicycle that does as it is told
@@ -91,7 +91,7 @@ def test_a_steered_path_comes_back_to_the_centre_line_and_stays(make_commands):
 
 
 def test_commands_hold_until_their_time_is_over(make_commands):
-    cfg = VelocityCommand(heading_share=0.0, standing_share=0.0, resample_s=(1.0, 2.0))
+    cfg = VelocityCommandCfg(heading_share=0.0, standing_share=0.0, resample_s=(1.0, 2.0))
     commands = make_commands(cfg, num_envs=20)
     first = commands.velocity.clone()
     for _ in range(9):
@@ -103,7 +103,7 @@ def test_commands_hold_until_their_time_is_over(make_commands):
 
 
 def test_only_worlds_in_the_mask_get_a_new_command(make_commands):
-    commands = make_commands(VelocityCommand(heading_share=0.0, standing_share=0.1))
+    commands = make_commands(VelocityCommandCfg(heading_share=0.0, standing_share=0.1))
     before, moving = commands.velocity, commands.moving
     mask = torch.arange(N) < N // 2
     commands.reset(mask)
@@ -133,16 +133,16 @@ def test_nothing_is_drawn_where_every_command_is_known_to_hold_and_steering_goes
 @pytest.mark.parametrize("name", ["speed", "lateral", "yaw_rate", "resample_s"])
 def test_a_range_the_wrong_way_round_is_named(make_commands, name):
     with pytest.raises(UserError, match=rf"command: {name} \(2, 1\) must be \(lowest, highest\)"):
-        make_commands(VelocityCommand(**{name: (2.0, 1.0)}))
+        make_commands(VelocityCommandCfg(**{name: (2.0, 1.0)}))
 
 
 @pytest.mark.parametrize("name", ["heading_share", "standing_share"])
 @pytest.mark.parametrize("share", [-0.1, 1.5])
 def test_a_share_of_worlds_beyond_all_or_nothing_is_refused(make_commands, name, share):
     with pytest.raises(UserError, match=f"command: {name} {share} must be between 0 and 1"):
-        make_commands(VelocityCommand(**{name: share}))
+        make_commands(VelocityCommandCfg(**{name: share}))
 
 
 def test_commands_that_hold_for_no_time_are_refused(make_commands):
     with pytest.raises(UserError, match="resample_s .* must be positive times"):
-        make_commands(VelocityCommand(resample_s=(0.0, 1.0)))
+        make_commands(VelocityCommandCfg(resample_s=(0.0, 1.0)))

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from humoslope.errors import UserError
-from humoslope.managers import CurriculumManager, StatefulTerm, Term, Terms
+from humoslope.managers import CurriculumManager, StatefulTerm, TermCfg, Terms
 
 N = 4
 
@@ -42,7 +42,7 @@ def env(make_env):
 
 
 def test_a_term_sees_the_worlds_that_end_is_logged_and_then_reset(env, mask):
-    curriculum = CurriculumManager(env, Terms(level=Term(Level, {"start": 1.0}), quiet=Term(quiet)))
+    curriculum = CurriculumManager(env, Terms(level=TermCfg(Level, {"start": 1.0}), quiet=TermCfg(quiet)))
     curriculum.reset(mask(N, 0, 1))
     assert env.log.flush() == {"Curriculum/level": 1.5, "Curriculum/quiet": 2.5}
     assert curriculum["level"].forgotten[0].equal(mask(N, 0, 1))
@@ -56,12 +56,12 @@ def test_a_term_may_build_on_one_before_it(env):
         def reset(self, mask):
             pass
 
-    curriculum = CurriculumManager(env, Terms(level=Term(Level), follower=Term(Follower)))
+    curriculum = CurriculumManager(env, Terms(level=TermCfg(Level), follower=TermCfg(Follower)))
     assert curriculum["follower"].leader is curriculum["level"]
 
 
 def test_what_terms_have_to_keep_comes_back(env, mask):
-    terms = Terms(level=Term(Level), quiet=Term(quiet))
+    terms = Terms(level=TermCfg(Level), quiet=TermCfg(quiet))
     curriculum = CurriculumManager(env, terms)
     curriculum.reset(mask(N, 2))
     state = curriculum.state_dict()
@@ -72,12 +72,12 @@ def test_what_terms_have_to_keep_comes_back(env, mask):
 
 
 def test_a_term_that_is_gone_is_ignored_and_a_new_one_keeps_its_start(env):
-    curriculum = CurriculumManager(env, Terms(other=Term(Level, {"start": 3.0})))
+    curriculum = CurriculumManager(env, Terms(other=TermCfg(Level, {"start": 3.0})))
     curriculum.load_state_dict({"level": {"level": [1.0] * N}})
     assert curriculum["other"].level.tolist() == [3.0] * N
 
 
 def test_a_term_that_does_not_exist_is_named_with_the_nearest_one(env):
-    curriculum = CurriculumManager(env, Terms(level=Term(Level)))
+    curriculum = CurriculumManager(env, Terms(level=TermCfg(Level)))
     with pytest.raises(UserError, match="curriculum 'levle' does not exist; did you mean 'level'"):
         curriculum["levle"]

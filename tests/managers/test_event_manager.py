@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from humoslope.errors import UserError
-from humoslope.managers import EventManager, EventTerm, StatefulTerm, Terms
+from humoslope.managers import EventManager, EventTermCfg, StatefulTerm, Terms
 
 N = 50
 
@@ -23,7 +23,7 @@ def env(make_env):
 
 
 def event(name, **options):
-    return EventTerm(strike, {"name": name}, **options)
+    return EventTermCfg(strike, {"name": name}, **options)
 
 
 def test_each_event_strikes_in_its_own_mode(env, mask):
@@ -75,7 +75,7 @@ def test_stateful_events_are_reset_with_the_worlds_and_can_be_had_by_name(env, m
         def reset(self, mask):
             self.forgotten.append(mask)
 
-    events = EventManager(env, Terms(wind=EventTerm(Wind, {"force": 3.0}, mode="step")))
+    events = EventManager(env, Terms(wind=EventTermCfg(Wind, {"force": 3.0}, mode="step")))
     events.reset(mask(N, 1))
     assert events["wind"].force == 3.0
     assert events["wind"].forgotten[0].equal(mask(N, 1))
@@ -100,4 +100,4 @@ def test_an_interval_that_is_none_is_refused(env, interval):
 
 def test_an_event_takes_no_mask_as_a_parameter(env):
     with pytest.raises(UserError, match="event 'push': parameter 'mask' does not exist"):
-        EventManager(env, Terms(push=EventTerm(strike, {"name": "push", "mask": None})))
+        EventManager(env, Terms(push=EventTermCfg(strike, {"name": "push", "mask": None})))

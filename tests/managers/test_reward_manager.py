@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from humoslope.errors import UserError
-from humoslope.managers import RewardManager, RewardTerm, StatefulTerm, Terms
+from humoslope.managers import RewardManager, RewardTermCfg, StatefulTerm, Terms
 
 N = 4
 
@@ -25,13 +25,13 @@ def env(make_env):
 
 
 def test_the_reward_is_the_sum_of_weight_times_value_times_seconds(env):
-    rewards = RewardManager(env, Terms(speed=RewardTerm(speed, weight=2.0), alive=RewardTerm(one, weight=-0.5)))
+    rewards = RewardManager(env, Terms(speed=RewardTermCfg(speed, weight=2.0), alive=RewardTermCfg(one, weight=-0.5)))
     torch.testing.assert_close(rewards.compute(0.02), 0.02 * (2.0 * env.speed - 0.5))
     assert rewards.last.tolist() == [[0.0, -0.5], [2.0, -0.5], [4.0, -0.5], [6.0, -0.5]]
 
 
 def test_finished_episodes_are_logged_as_their_mean_reward_per_second(env, mask):
-    rewards = RewardManager(env, Terms(speed=RewardTerm(speed, weight=2.0), alive=RewardTerm(one)))
+    rewards = RewardManager(env, Terms(speed=RewardTermCfg(speed, weight=2.0), alive=RewardTermCfg(one)))
     for _ in range(50):
         rewards.compute(0.02)
     rewards.reset(mask(N, 1, 3))
@@ -41,7 +41,7 @@ def test_finished_episodes_are_logged_as_their_mean_reward_per_second(env, mask)
 
 
 def test_a_new_episode_starts_from_nothing_and_the_others_go_on(env, mask):
-    rewards = RewardManager(env, Terms(speed=RewardTerm(speed)))
+    rewards = RewardManager(env, Terms(speed=RewardTermCfg(speed)))
     rewards.compute(1.0)
     rewards.reset(mask(N, 0))
     env.speed = env.speed + 10.0
@@ -54,7 +54,7 @@ def test_a_new_episode_starts_from_nothing_and_the_others_go_on(env, mask):
 
 
 def test_nothing_is_logged_when_no_episode_ends(env, mask):
-    rewards = RewardManager(env, Terms(alive=RewardTerm(one)))
+    rewards = RewardManager(env, Terms(alive=RewardTermCfg(one)))
     rewards.compute(1.0)
     rewards.reset(mask(N))
     assert env.log.flush() == {}
@@ -72,7 +72,7 @@ def test_stateful_rewards_are_reset_with_their_worlds(env, mask):
         def reset(self, mask):
             self.value = self.value.masked_fill(mask, 0.0)
 
-    rewards = RewardManager(env, Terms(best=RewardTerm(Last)))
+    rewards = RewardManager(env, Terms(best=RewardTermCfg(Last)))
     rewards.compute(1.0)
     rewards.reset(mask(N, 1, 2))
     env.speed = torch.zeros(N)
@@ -83,12 +83,16 @@ def test_a_term_of_weight_zero_is_never_computed(env):
     def broken(env):
         raise AssertionError
 
-    assert RewardManager(env, Terms(alive=RewardTerm(one), broken=RewardTerm(broken, weight=0.0))).names == ["alive"]
+    assert RewardManager(env, Terms(alive=RewardTermCfg(one), broken=RewardTermCfg(broken, weight=0.0))).names == [
+        "alive"
+    ]
 
 
-def test_no_reward_at_all_is_a_mistake(env):
-    with pytest.raises(UserError, match="no term has a weight other than zero"):
-        RewardManager(env, Terms(alive=RewardTerm(one, weight=0.0)))
+def test_an_env_without_rewards_earns_nothing_and_logs_nothing(env, mask):
+    rewards = RewardManager(env, Terms(alive=RewardTermCfg(one, weight=0.0)))
+    assert rewards.compute(0.02).tolist() == [0.0] * N
+    rewards.reset(mask(N, 0))
+    assert env.log.flush() == {}
 
 
 def test_a_term_of_the_wrong_shape_is_named(env):
@@ -96,4 +100,4 @@ def test_a_term_of_the_wrong_shape_is_named(env):
         return env.speed[:, None]
 
     with pytest.raises(UserError, match=r"reward 'column' returned shape \(4, 1\); it must be \(4,\), one value per w"):
-        RewardManager(env, Terms(alive=RewardTerm(one), column=RewardTerm(column)))
+        RewardManager(env, Terms(alive=RewardTermCfg(one), column=RewardTermCfg(column)))

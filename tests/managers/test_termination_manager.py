@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from humoslope.managers import StatefulTerm, TerminationManager, TerminationTerm, Terms
+from humoslope.managers import StatefulTerm, TerminationManager, TerminationTermCfg, Terms
 
 N = 4
 
@@ -26,7 +26,9 @@ def env(make_env, mask):
 
 @pytest.fixture
 def terminations(env):
-    return TerminationManager(env, Terms(late=TerminationTerm(late, time_out=True), fallen=TerminationTerm(fallen)))
+    return TerminationManager(
+        env, Terms(late=TerminationTermCfg(late, time_out=True), fallen=TerminationTermCfg(fallen))
+    )
 
 
 def test_a_fall_at_the_last_moment_is_a_failure_and_no_time_out(terminations):
@@ -67,7 +69,7 @@ def test_stateful_terminations_are_reset_with_their_worlds(env, mask):
         def reset(self, mask):
             self.count = self.count.masked_fill(mask, 0.0)
 
-    terminations = TerminationManager(env, Terms(thrice=TerminationTerm(Thrice)))
+    terminations = TerminationManager(env, Terms(thrice=TerminationTermCfg(Thrice)))
     terminations.compute()
     terminations.compute()
     terminations.reset(mask(N, 0, 1))

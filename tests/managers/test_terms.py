@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from humoslope.errors import UserError
-from humoslope.managers import RewardTerm, StatefulTerm, Term, Terms
+from humoslope.managers import RewardTermCfg, StatefulTerm, TermCfg, Terms
 from humoslope.managers.terms import StatefulTerms, bind
 
 
@@ -34,14 +34,14 @@ class Counter(StatefulTerm):
 
 @pytest.fixture
 def terms():
-    return Terms(alive=RewardTerm(height, weight=0.5), swing=RewardTerm(height), zmp=RewardTerm(height))
+    return Terms(alive=RewardTermCfg(height, weight=0.5), swing=RewardTermCfg(height), zmp=RewardTermCfg(height))
 
 
 # Terms
 
 
 def test_a_mistyped_field_of_a_term_is_named_with_the_nearest_match(terms):
-    with pytest.raises(UserError, match="RewardTerm field 'wieght' does not exist; did you mean 'weight'"):
+    with pytest.raises(UserError, match="RewardTermCfg field 'wieght' does not exist; did you mean 'weight'"):
         terms.alive.wieght = 2.0
 
 
@@ -65,7 +65,7 @@ def test_deleting_takes_a_term_away(terms):
 
 
 def test_a_new_term_goes_to_the_end(terms):
-    terms.pitch = RewardTerm(height)
+    terms.pitch = RewardTermCfg(height)
     assert [name for name, _ in terms.items()][-1] == "pitch"
 
 
@@ -93,7 +93,7 @@ def test_terms_can_be_copied_deeply_and_pickled(terms):
 
 
 def test_a_function_is_called_with_its_parameters_filled_in(make_env):
-    call = bind("reward", "height", Term(height, {"target": 1.0}), make_env(height=torch.full((4,), 3.0)))
+    call = bind("reward", "height", TermCfg(height, {"target": 1.0}), make_env(height=torch.full((4,), 3.0)))
     assert call(make_env(height=torch.full((4,), 3.0))).tolist() == [4.0] * 4
 
 
@@ -101,35 +101,35 @@ def test_an_event_gets_the_mask_too(make_env, mask):
     def event(env, mask, amount):
         return mask * amount
 
-    call = bind("event", "push", Term(event, {"amount": 2.0}), make_env(), ("env", "mask"))
+    call = bind("event", "push", TermCfg(event, {"amount": 2.0}), make_env(), ("env", "mask"))
     assert call(make_env(), mask(4, 1)).tolist() == [0.0, 2.0, 0.0, 0.0]
 
 
 def test_an_unknown_parameter_names_the_term_and_the_nearest_parameter(make_env):
     with pytest.raises(UserError, match=r"reward 'height': parameter 'taregt' does not exist; did you mean 'target'"):
-        bind("reward", "height", Term(height, {"taregt": 1.0}), make_env())
+        bind("reward", "height", TermCfg(height, {"taregt": 1.0}), make_env())
 
 
 def test_the_environment_is_no_parameter(make_env):
     with pytest.raises(UserError, match="parameter 'env' does not exist"):
-        bind("reward", "height", Term(height, {"env": None, "target": 1.0}), make_env())
+        bind("reward", "height", TermCfg(height, {"env": None, "target": 1.0}), make_env())
 
 
 def test_a_missing_parameter_is_named(make_env):
     with pytest.raises(UserError, match="reward 'height': parameter 'target' of height has no value"):
-        bind("reward", "height", Term(height), make_env())
+        bind("reward", "height", TermCfg(height), make_env())
 
 
 def test_a_class_is_constructed_with_its_parameters(make_env):
     env = make_env()
-    counter = bind("reward", "count", Term(Counter, {"step": 3}), env)
+    counter = bind("reward", "count", TermCfg(Counter, {"step": 3}), env)
     counter(env)
     assert counter(env).tolist() == [6.0] * 4
 
 
 def test_the_parameters_of_a_class_are_checked(make_env):
     with pytest.raises(UserError, match="reward 'count': parameter 'stepp' does not exist; did you mean 'step'"):
-        bind("reward", "count", Term(Counter, {"stepp": 3}), make_env())
+        bind("reward", "count", TermCfg(Counter, {"stepp": 3}), make_env())
 
 
 def test_a_class_that_is_no_stateful_term_is_refused(make_env):
@@ -140,7 +140,7 @@ def test_a_class_that_is_no_stateful_term_is_refused(make_env):
     with pytest.raises(
         UserError, match=r"reward 'memory': class Memory must derive from StatefulTerm and define reset"
     ):
-        bind("reward", "memory", Term(Memory), make_env())
+        bind("reward", "memory", TermCfg(Memory), make_env())
 
 
 def test_a_stateful_term_that_cannot_be_reset_is_refused(make_env):
@@ -152,13 +152,13 @@ def test_a_stateful_term_that_cannot_be_reset_is_refused(make_env):
             return env.zeros()
 
     with pytest.raises(UserError, match=r"reward 'leaky': class Leaky must derive from StatefulTerm and define reset"):
-        bind("reward", "leaky", Term(Leaky), make_env())
+        bind("reward", "leaky", TermCfg(Leaky), make_env())
 
 
 def test_only_stateful_terms_are_reset_together(make_env, mask):
     env, kept = make_env(), StatefulTerms()
-    counters = [kept.keep(bind("reward", "count", Term(Counter), env)) for _ in range(2)]
-    kept.keep(bind("reward", "height", Term(height, {"target": 1.0}), env))
+    counters = [kept.keep(bind("reward", "count", TermCfg(Counter), env)) for _ in range(2)]
+    kept.keep(bind("reward", "height", TermCfg(height, {"target": 1.0}), env))
     for counter in counters:
         counter(env)
     kept.reset(mask(4, 0, 2))

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from humoslope.scene.patch import GroundPatch, PatchCfg
+from humoslope.scene.height_scan import HeightScan, HeightScanCfg
 from humoslope.scene.scene import build_model
 from humoslope.scene.signals import Signals
 from humoslope.scene.tiles import Tiles
-from humoslope.terrain import TerrainGrid, TerrainQueries
+from humoslope.terrain import TerrainGridCfg, TerrainQueries
 from humoslope.terrain.grid import Terrain
 from robots.unitree_g1 import UNITREE_G1
 
@@ -34,7 +34,7 @@ class Posed:
         terrain = plane(slope, uphill)
         queries, tiles = TerrainQueries(terrain, "cpu"), Tiles(terrain, 1, torch.device("cpu"))
         self.signals = Signals(sim, UNITREE_G1, queries)
-        self.patch = GroundPatch(PatchCfg(), self.signals, queries, tiles)
+        self.height_scan = HeightScan(HeightScanCfg(), self.signals, queries, tiles)
 
     def put(self, **values: object) -> None:
         """Writes readings by sensor name ("left" and "right" of a pair: `foot_force_w={"left": ...}`)."""
@@ -86,7 +86,7 @@ def plane(slope: float, uphill: float = 0.0) -> Terrain:
 @pytest.fixture(scope="session")
 def g1() -> mujoco.MjModel:
     return build_model(
-        UNITREE_G1, TerrainGrid(columns={"flat": 1.0}, levels=1, num_columns=1).build(), 0.005, "elliptic"
+        UNITREE_G1, TerrainGridCfg(columns={"flat": 1.0}, levels=1, num_columns=1).build(), 0.005, "elliptic"
     )
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
-from humoslope.mdp.harness import Harness, WithdrawHarness
+from humoslope.mdp.harness import Harness, HarnessCurriculum
 
 WEIGHT = 33.0 * 9.81
 ROOT, TORSO = 1, 2  # body ids
@@ -97,7 +97,7 @@ def withdrawal(make_env):
         return scale.item()
 
     withdraw.env = env
-    withdraw.make = lambda **params: WithdrawHarness(env, **{"rate": 0.5, "memory_s": 1.0, **params})
+    withdraw.make = lambda **params: HarnessCurriculum(env, **{"rate": 0.5, "memory_s": 1.0, **params})
     withdraw.term = withdraw.make()
     return withdraw
 
@@ -157,4 +157,4 @@ def test_withdrawal_goes_on_where_its_state_was_taken(withdrawal):
 
 def test_only_a_harness_can_be_withdrawn(withdrawal):
     with pytest.raises(UserError, match="event 'push' is not a Harness"):
-        WithdrawHarness(withdrawal.env, event="push")
+        HarnessCurriculum(withdrawal.env, event="push")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
 from humoslope.mdp import observations
-from humoslope.mdp.mirror import joint_image
+from humoslope.mdp.declare import joint_image
 from robots.unitree_g1 import UNITREE_G1
 
 
@@ -22,7 +22,7 @@ def quat(euler, angles):
 
 
 def seen(make_env, posed):
-    return make_env(1, signals=posed.signals, patch=posed.patch, robot=UNITREE_G1)
+    return make_env(1, signals=posed.signals, height_scan=posed.height_scan, robot=UNITREE_G1)
 
 
 def test_leaning_forward_gravity_points_ahead(make_env, pose):

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from humoslope.env import ManagerBasedRlEnv
+from humoslope.learning.policy import Provenance
 from humoslope.registry import build_task
 from humoslope.replay.record import RecordProtocol, record, record_env_cfg, signed
 from humoslope.replay.rollout import Rollout
-from humoslope.rl.policy import Provenance
 
 PROTOCOL = RecordProtocol(terrain="ramp-up", grade=20.0, seconds=4.0, push=1.5, push_every=0.9)
 

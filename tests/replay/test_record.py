@@ -95,7 +95,7 @@ def test_only_a_task_that_asks_for_a_com_height_has_a_target(rollout: Rollout, w
 def test_neither_noise_nor_harness_nor_randomisation_is_left() -> None:
     cfg = record_env_cfg(build_task("HumoSlope-Stage1-Unitree-G1").env, RecordProtocol())
     assert [name for name, _ in cfg.events.items()] == ["friction", "root", "joints", "recorder"]
-    assert not cfg.observations.actor.corrupt
+    assert not cfg.observations.actor.enable_corruption
     assert cfg.sim.cone == "elliptic"
     assert cfg.sim.timestep == 0.005
 

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.terrain import TerrainGrid
+from humoslope.terrain import TerrainGridCfg
 
 
 def on_the_flat(cfg: EnvCfg) -> None:
-    cfg.scene.terrain = TerrainGrid(columns={"flat": 1.0}, levels=1, num_columns=1)
+    cfg.scene.terrain = TerrainGridCfg(columns={"flat": 1.0}, levels=1, num_columns=1)
 
 
 @pytest.fixture(scope="module")

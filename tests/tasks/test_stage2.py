@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from humoslope.provenance import plain
 from humoslope.registry import build_task
-from humoslope.rl.rundir import plain
 
 FULL = "HumoSlope-Stage2-Unitree-G1"
 BSGA = {"com_height", "hip_propulsion", "knee_braking", "stride", "swing_hip"}

@@ -10,10 +10,10 @@ import torch
 
 from humoslope.cli import main
 from humoslope.env import ManagerBasedRlEnv
+from humoslope.learning import checkpoint
+from humoslope.presets import apply_preset
+from humoslope.provenance import plain
 from humoslope.registry import TaskCfg, build_task
-from humoslope.rl import checkpoint
-from humoslope.rl.config import apply_preset
-from humoslope.rl.rundir import plain
 from robots.unitree_g1 import UNITREE_G1
 
 LITERAL, RELATIVE = "URL-Literal-Unitree-G1", "URL-TerrainRelative-Unitree-G1"
@@ -74,7 +74,7 @@ def test_actor_and_critic_see_what_unitrees_do(task: str) -> None:
     groups = ManagerBasedRlEnv(cfg.env).observations.groups
     assert {name: group.size for name, group in groups.items()} == {"actor": 480, "critic": 495}
     assert next(iter(groups["critic"].widths)) == "base_lin_vel"
-    assert not groups["critic"].cfg.corrupt
+    assert not groups["critic"].cfg.enable_corruption
 
 
 def test_ppo_is_unitrees() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from humoslope.evaluation.protocol import HeldOutProtocol
+from humoslope.evaluation.track.protocol import HeldOutProtocol
 from humoslope.terrain import TerrainQueries, add_terrain, course
 
 PROTOCOL = HeldOutProtocol()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from humoslope.errors import UserError
-from humoslope.terrain import TerrainGrid, course, registry
+from humoslope.terrain import TerrainGridCfg, course, registry
 from humoslope.terrain.course import Course, Segment
 
 LENGTHS = st.lists(st.integers(1, 50).map(lambda tenths: tenths / 10), min_size=1, max_size=12)
@@ -57,7 +57,7 @@ def test_a_course_is_a_terrain_but_none_that_training_may_use() -> None:
     assert course.is_course("held-out-track")
     assert not course.is_course("ramp-up")
     with pytest.raises(UserError, match="'held-out-track' is what policies are measured on"):
-        TerrainGrid(columns={"ramp-up": 1.0, "held-out-track": 0.0}).build()
+        TerrainGridCfg(columns={"ramp-up": 1.0, "held-out-track": 0.0}).build()
 
 
 def test_a_grade_that_the_course_does_not_have_is_refused() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humoslope.registry import all_tasks, build_task
-from humoslope.terrain import TerrainGrid, course, registry
+from humoslope.terrain import TerrainGridCfg, course, registry
 from humoslope.terrain.grid import tile_points
 from terrains.heldout import BANK, BUMP, CELL, LENGTH, SEED, SEGMENTS, WIDTH
 
@@ -112,5 +112,5 @@ def test_no_seed_of_training_draws_the_bumps_of_the_track(seed: int, column: int
 @pytest.mark.parametrize("name", all_tasks())
 def test_no_task_trains_on_the_track(name: str) -> None:
     terrain = build_task(name).env.scene.terrain
-    assert isinstance(terrain, TerrainGrid)
+    assert isinstance(terrain, TerrainGridCfg)
     assert set(terrain.columns) <= set(registry.training_names())

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import terrains  # noqa: F401  registers the kinds
 from humoslope.errors import UserError
-from humoslope.terrain import Terrain, TerrainGrid, Tile, TileRow, registry, terrain
+from humoslope.terrain import Terrain, TerrainGridCfg, Tile, TileRowCfg, registry, terrain
 from terrains.stage1 import stage1
 
 
@@ -33,7 +33,7 @@ def tile(built: Terrain, level: int, column: int) -> Any:
 
 
 def test_every_tile_starts_level_at_its_origin_and_robots_start_on_level_ground() -> None:
-    built = TerrainGrid(columns=dict.fromkeys(registry.training_names(), 1.0), levels=5).build()
+    built = TerrainGridCfg(columns=dict.fromkeys(registry.training_names(), 1.0), levels=5).build()
     for level in range(5):
         for column in range(20):
             heights = tile(built, level, column)
@@ -42,14 +42,14 @@ def test_every_tile_starts_level_at_its_origin_and_robots_start_on_level_ground(
 
 
 def test_the_field_is_centred_in_the_world() -> None:
-    built = TerrainGrid(columns={"flat": 1.0}, levels=3, num_columns=2).build()
+    built = TerrainGridCfg(columns={"flat": 1.0}, levels=3, num_columns=2).build()
     far = np.array(built.origin) + (np.array(built.heights.shape) - 1) * built.cell
     np.testing.assert_allclose(far, -np.array(built.origin))
     np.testing.assert_allclose(built.tile_origin[..., 1].sum(), 0.0, atol=1e-9)
 
 
 def test_levels_run_through_the_grades_and_along_x() -> None:
-    built = TerrainGrid(columns={"ramp-up": 1.0}, levels=5, num_columns=2).build()
+    built = TerrainGridCfg(columns={"ramp-up": 1.0}, levels=5, num_columns=2).build()
     np.testing.assert_allclose(built.grade, np.linspace(0, 32, 5)[:, None].repeat(2, axis=1))
     assert (np.diff(built.tile_origin[:, 0, 0]) > built.tile_length).all()
     assert (np.diff(built.tile_origin[0, :, 1]) > built.tile_width).all()
@@ -59,7 +59,7 @@ def test_levels_run_through_the_grades_and_along_x() -> None:
 def test_a_ramp_of_30_degrees_is_30_degrees_everywhere_but_at_its_ends(name: str, sign: int) -> None:
     find = registry.find(name)
     terrain("only-30", grade=(30.0, 30.0))(find.function)
-    heights = tile(TerrainGrid(columns={"only-30": 1.0}, levels=1, num_columns=1).build(), 0, 0).astype(float)
+    heights = tile(TerrainGridCfg(columns={"only-30": 1.0}, levels=1, num_columns=1).build(), 0, 0).astype(float)
     grade_x = np.degrees(np.arctan(np.diff(heights, axis=0) / 0.1))
     np.testing.assert_allclose(grade_x[15:85], sign * 30.0, atol=1e-3)
     np.testing.assert_allclose(grade_x[:15], 0.0, atol=1e-9)
@@ -74,7 +74,7 @@ def test_a_ramp_of_30_degrees_is_30_degrees_everywhere_but_at_its_ends(name: str
 )
 def test_every_named_kind_gets_a_column_and_shares_are_kept_within_one(shares: dict[str, float], more: int) -> None:
     columns = len(shares) + more
-    built = TerrainGrid(
+    built = TerrainGridCfg(
         columns=shares, levels=1, num_columns=columns, tile_length=4.0, tile_width=0.4, cell=0.2, border=0.0
     ).build()
     assert len(built.kind) == columns
@@ -85,14 +85,14 @@ def test_every_named_kind_gets_a_column_and_shares_are_kept_within_one(shares: d
 
 
 def test_a_share_of_zero_takes_a_kind_away() -> None:
-    built = TerrainGrid(columns={"flat": 1.0, "wave": 0.0}, levels=1, num_columns=4).build()
+    built = TerrainGridCfg(columns={"flat": 1.0, "wave": 0.0}, levels=1, num_columns=4).build()
     assert set(built.kind) == {"flat"}
 
 
 def test_a_tile_depends_on_seed_column_and_level_only() -> None:
-    small = TerrainGrid(columns={"rough": 1.0}, levels=2, num_columns=2)
-    large = TerrainGrid(columns={"rough": 1.0}, levels=2, num_columns=5)
-    other = TerrainGrid(columns={"rough": 1.0}, levels=2, num_columns=2, seed=1)
+    small = TerrainGridCfg(columns={"rough": 1.0}, levels=2, num_columns=2)
+    large = TerrainGridCfg(columns={"rough": 1.0}, levels=2, num_columns=5)
+    other = TerrainGridCfg(columns={"rough": 1.0}, levels=2, num_columns=2, seed=1)
     np.testing.assert_array_equal(tile(small.build(), 1, 1), tile(large.build(), 1, 1))
     assert (tile(small.build(), 1, 1) != tile(other.build(), 1, 1)).any()
     assert (tile(small.build(), 1, 0) != tile(small.build(), 1, 1)).any()
@@ -132,7 +132,7 @@ def test_stage_one_is_half_planar_ramps_with_flat_wavy_and_rough_ground() -> Non
 )
 def test_an_impossible_grid_is_refused_in_one_sentence(change: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
-        TerrainGrid(**{"columns": {"flat": 1.0}, "levels": 2, **change}).build()
+        TerrainGridCfg(**{"columns": {"flat": 1.0}, "levels": 2, **change}).build()
     assert "\n" not in str(caught.value)
 
 
@@ -150,7 +150,7 @@ def test_an_impossible_grid_is_refused_in_one_sentence(change: dict[str, Any], s
 def test_a_terrain_that_returns_no_ground_is_named_with_what_it_returned(returned: Any, said: str) -> None:
     terrain("broken", grade=(0.0, 10.0))(lambda x, y, grade, rng: returned(x))
     with pytest.raises(UserError, match=said) as caught:
-        TerrainGrid(columns={"broken": 1.0}).build()
+        TerrainGridCfg(columns={"broken": 1.0}).build()
     assert "'broken'" in str(caught.value)
 
 
@@ -167,7 +167,7 @@ def test_a_range_of_grades_that_cannot_be_is_refused(grade: tuple[float, float])
 
 def test_a_row_lays_its_tiles_out_side_by_side_as_they_were_asked_for() -> None:
     kind = registry.find("ramp-up")
-    built = TileRow([Tile(kind, 10.0), Tile(kind, 0.0), Tile(kind, 45.0)], tile_length=12.0).build()
+    built = TileRowCfg([Tile(kind, 10.0), Tile(kind, 0.0), Tile(kind, 45.0)], tile_length=12.0).build()
     assert built.kind == ("ramp-up",) * 3
     np.testing.assert_array_equal(built.grade, [[10.0, 0.0, 45.0]])
     for column, grade in enumerate((10.0, 0.0, 45.0)):
@@ -176,12 +176,12 @@ def test_a_row_lays_its_tiles_out_side_by_side_as_they_were_asked_for() -> None:
 
 
 def test_a_row_of_a_grids_tiles_is_that_grid() -> None:
-    grid = TerrainGrid(columns={"rough": 1.0}, levels=1, num_columns=3, seed=4).build()
-    row = TileRow([Tile(registry.find("rough"), 0.0)] * 3, seed=4).build()
+    grid = TerrainGridCfg(columns={"rough": 1.0}, levels=1, num_columns=3, seed=4).build()
+    row = TileRowCfg([Tile(registry.find("rough"), 0.0)] * 3, seed=4).build()
     np.testing.assert_array_equal(grid.heights, row.heights)
     np.testing.assert_array_equal(grid.tile_origin, row.tile_origin)
 
 
 def test_a_row_without_tiles_is_refused() -> None:
     with pytest.raises(UserError, match="no tiles"):
-        TileRow([]).build()
+        TileRowCfg([]).build()

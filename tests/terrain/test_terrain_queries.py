@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import terrains  # noqa: F401  registers the kinds
-from humoslope.terrain import Terrain, TerrainGrid, TerrainQueries, add_terrain, registry
+from humoslope.terrain import Terrain, TerrainGridCfg, TerrainQueries, add_terrain, registry
 
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -61,7 +61,7 @@ class World:
 
 @pytest.fixture(scope="module")
 def every_kind() -> Terrain:
-    return TerrainGrid(
+    return TerrainGridCfg(
         columns=dict.fromkeys(registry.training_names(), 1.0), levels=4, num_columns=2 * len(registry.training_names())
     ).build()
 

@@ -1,5 +1,5 @@
 from humoslope.registry import TaskCfg, task
-from humoslope.terrain import TerrainGrid
+from humoslope.terrain import TerrainGridCfg
 from tasks.stage1 import stage1
 
 
@@ -7,7 +7,7 @@ from tasks.stage1 import stage1
 def gravel() -> TaskCfg:
     """Stage I on gravel."""
     cfg = stage1()
-    cfg.env.scene.terrain = TerrainGrid(columns={"gravel-ramp": 0.8, "flat": 0.2})
+    cfg.env.scene.terrain = TerrainGridCfg(columns={"gravel-ramp": 0.8, "flat": 0.2})
     cfg.env.rewards.zmp.weight = 0.25  # a term is changed
     cfg.env.rewards.energy = None  # or taken away
     return cfg

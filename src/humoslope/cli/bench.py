@@ -19,13 +19,13 @@ from rich.table import Table
 
 import humoslope
 from humoslope.cli.options import parse
-from humoslope.cores import usable_cores
+from humoslope.cpu import usable_cores
 from humoslope.errors import UserError
 from humoslope.files import check_place, write_text
+from humoslope.learning import checkpoint as checkpoints
+from humoslope.learning.benchmark import RANDOM_STD, Measurement, measure
+from humoslope.presets import Preset
 from humoslope.registry import all_tasks, load_content
-from humoslope.rl import checkpoint as checkpoints
-from humoslope.rl.benchmark import RANDOM_STD, Measurement, measure
-from humoslope.rl.config import Preset
 
 TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 worlds; below 2,048 MiB at 4096."
 

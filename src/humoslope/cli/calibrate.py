@@ -14,15 +14,15 @@ from rich.console import Console
 from humoslope.cli.measure import describe, introduce, trained, walking, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.evaluation.calibration import Fit, SwingFit, gather, solve, table
-from humoslope.evaluation.calibration_figure import draw
-from humoslope.evaluation.calibration_file import calibration_path, write_calibration
 from humoslope.evaluation.ramps import ramp_env_cfg
-from humoslope.evaluation.swing_walk import SwingProtocol, walk
+from humoslope.evaluation.swing.figure import draw
+from humoslope.evaluation.swing.file import calibration_path, write_calibration
+from humoslope.evaluation.swing.fit import Fit, SwingFit, gather, solve, table
+from humoslope.evaluation.swing.walk import SwingProtocol, walk
 from humoslope.files import check_place
+from humoslope.learning.policy import load_actor
 from humoslope.mdp.selection import joint_pair
-from humoslope.rl.policy import load_actor
-from humoslope.rl.rundir import plain
+from humoslope.provenance import plain
 from humoslope.slope.swing import PRIOR
 
 

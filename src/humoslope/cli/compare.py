@@ -10,7 +10,7 @@ import tyro
 from humoslope.cli.options import saved_options
 from humoslope.cli.overrides import option_groups
 from humoslope.errors import UserError
-from humoslope.evaluation.compare import compare
+from humoslope.evaluation.report.compare import compare
 from humoslope.files import check_place, write_text
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import tyro
 
-from humoslope.evaluation.curve import continued, draw, read_curves, read_table, write_table
+from humoslope.evaluation.report.curve import continued, draw, read_curves, read_table, write_table
 
 
 def run(arguments: list[str]) -> None:

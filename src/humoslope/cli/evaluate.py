@@ -22,20 +22,20 @@ import humoslope
 from humoslope.cli.measure import trained, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.evaluation import saved
-from humoslope.evaluation.heldout import HeldOutTrials, Relay, held_out_env_cfg, walk
-from humoslope.evaluation.live import Progress, cell_table, view
-from humoslope.evaluation.paper import read_paper
-from humoslope.evaluation.protocol import HeldOutProtocol, sweep_protocol
-from humoslope.evaluation.records import each
-from humoslope.evaluation.results import read_report, tell
-from humoslope.evaluation.saved import Walked
-from humoslope.evaluation.sweep import ENOUGH, SlopeLimit, slope_limit
-from humoslope.evaluation.tables import ablation_table, cells_table, diagnostics_table, main_table
+from humoslope.evaluation.report.paper import read_paper
+from humoslope.evaluation.report.results import read_report, tell
+from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
+from humoslope.evaluation.track import store
+from humoslope.evaluation.track.arrays import each
+from humoslope.evaluation.track.progress import Progress, cell_table, view
+from humoslope.evaluation.track.protocol import HeldOutProtocol, sweep_protocol
+from humoslope.evaluation.track.store import Walked
+from humoslope.evaluation.track.sweep import ENOUGH, SlopeLimit, slope_limit
+from humoslope.evaluation.track.trials import HeldOutTrials, Relay, held_out_env_cfg, walk
 from humoslope.files import check_place, write_text
+from humoslope.learning.policy import Provenance, load_actor
+from humoslope.provenance import git_state, plain
 from humoslope.registry import TaskCfg
-from humoslope.rl.policy import Provenance, load_actor
-from humoslope.rl.rundir import git_state, plain
 
 REFRESH_S = 2.0
 """Time between two looks at the table, s."""
@@ -112,9 +112,9 @@ class _Evaluation:
         course = options.protocol.find_course()
         relay = Relay(options.protocol, course, options.lanes)
         cfg = held_out_env_cfg(task.env, relay)
-        self._mark = saved.fingerprint(cfg, relay, source.sha256)
+        self._mark = store.fingerprint(cfg, relay, source.sha256)
         self._path = _beside(out, f".{self._mark[:8]}.npz")
-        found = None if options.fresh else saved.load(self._path, self._mark, options.protocol)
+        found = None if options.fresh else store.load(self._path, self._mark, options.protocol)
         relay.earlier = found and found.trials
         self.env = ManagerBasedRlEnv(cfg)
         self._relay = relay
@@ -136,7 +136,7 @@ class _Evaluation:
 
         def keep() -> None:
             self.walked = Walked(relay.trials(), time.monotonic() - started, code)
-            saved.save(self._path, self.walked, self._mark, protocol)
+            store.save(self._path, self.walked, self._mark, protocol)
 
         progress = Progress(relay.progress(), self.env.step_dt)
         title = f"{self.source.task}, iteration {self.source.iteration}"

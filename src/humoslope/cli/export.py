@@ -9,12 +9,12 @@ import tyro
 from rich.console import Console
 
 from humoslope.cli.measure import trained
+from humoslope.deploy.contract import FILE
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
+from humoslope.export.policy import DEPLOY, MODEL, ONNX, export, record_observations
 from humoslope.files import check_place
-from humoslope.play.contract import FILE
-from humoslope.rl.export import DEPLOY, MODEL, ONNX, export, record_observations
-from humoslope.rl.policy import load_actor
+from humoslope.learning.policy import load_actor
 
 WALK = RampProtocol(grades=(0.0, 20.0, -20.0), starts=2, seconds=2.0)
 """What is walked to compare the network with the actor on what it sees there."""

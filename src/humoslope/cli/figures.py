@@ -7,8 +7,8 @@ from pathlib import Path
 
 import tyro
 
-from humoslope.evaluation.figures import draw_all
-from humoslope.evaluation.results import read_results
+from humoslope.evaluation.report.figures import draw_all
+from humoslope.evaluation.report.results import read_results
 from humoslope.files import check_place
 
 

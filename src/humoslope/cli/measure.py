@@ -15,9 +15,9 @@ import humoslope
 from humoslope.cli.options import trained_task
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol
+from humoslope.learning.policy import Provenance, find_checkpoint, read_provenance
+from humoslope.provenance import git_state, plain
 from humoslope.registry import TaskCfg, load_content
-from humoslope.rl.policy import Provenance, find_checkpoint, read_provenance
-from humoslope.rl.rundir import git_state, plain
 
 MEASURED = ("actions", "command", "observations", "terminations", "events")
 """What the written figures say of the environment."""

@@ -11,8 +11,8 @@ import tyro
 
 from humoslope.cli.overrides import mirror_type, option_names, write_back
 from humoslope.errors import UserError, unknown
+from humoslope.presets import Preset, apply_preset, resolve_preset
 from humoslope.registry import TaskCfg, build_task
-from humoslope.rl.config import Preset, apply_preset, resolve_preset
 
 
 class HasPreset(Protocol):

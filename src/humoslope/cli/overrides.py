@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, get_origin, get_type_hints
 
 import tyro
 
-from humoslope.managers.terms import Term, Terms
+from humoslope.managers.terms import TermCfg, Terms
 from humoslope.scene.robot import Robot
 
 PLAIN = (bool, int, float, str)
@@ -36,7 +36,7 @@ def mirror_type(name: str, value: Any, helps: dict[str, str] | None = None) -> t
     for key, child in _children(value).items():
         kind, default = hints.get(key, _annotation(child)), child
         if kind is None:
-            if isinstance(value, Term) and key == "params":
+            if isinstance(value, TermCfg) and key == "params":
                 whole = _defaults(value.func) | child
                 nested = mirror_type(f"{name}_{key}", whole, documented(value.func, "Args"))
             else:

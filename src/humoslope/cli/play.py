@@ -10,10 +10,10 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from humoslope.deploy import contract as contracts
+from humoslope.deploy.contract import Contract
+from humoslope.deploy.player import SETTLE_S, Course, Player, Walk, outcome, walks
 from humoslope.errors import UserError
-from humoslope.play import contract as contracts
-from humoslope.play.contract import Contract
-from humoslope.play.walk import SETTLE_S, Course, Player, Walk, outcome, walks
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,11 +43,11 @@ def run(arguments: list[str]) -> None:
         console.print(_introduction(contract, course), highlight=False, soft_wrap=True)
         console.print(_report(_walk(console, player)), highlight=False, soft_wrap=True)
         return
-    from humoslope.play import live  # needs libraries that a machine without a display may lack
+    from humoslope.deploy import window  # needs libraries that a machine without a display may lack
 
-    live.check_display()
-    console.print(_introduction(contract, course), live.KEYS, sep="\n", highlight=False, soft_wrap=True)
-    live.live(player, console.print)
+    window.check_display()
+    console.print(_introduction(contract, course), window.KEYS, sep="\n", highlight=False, soft_wrap=True)
+    window.live(player, console.print)
 
 
 def _walk(console: Console, player: Player) -> list[Walk]:

@@ -15,8 +15,8 @@ from humoslope.cli.measure import describe, introduce, trained, walking, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, summarise, table, walk
 from humoslope.files import check_place, write_text
-from humoslope.rl.policy import load_actor
-from humoslope.rl.rundir import plain
+from humoslope.learning.policy import load_actor
+from humoslope.provenance import plain
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,8 +13,8 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from humoslope.cli.measure import trained, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.files import check_place
+from humoslope.learning.policy import load_actor
 from humoslope.replay.record import RecordProtocol, record, record_env_cfg, signed
-from humoslope.rl.policy import load_actor
 
 
 @dataclasses.dataclass(frozen=True)

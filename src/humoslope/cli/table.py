@@ -8,10 +8,10 @@ from typing import Literal
 
 import tyro
 
-from humoslope.evaluation.paper import Paper, read_paper
-from humoslope.evaluation.results import Result, read_results
-from humoslope.evaluation.sheet import Sheet
-from humoslope.evaluation.tables import ablation_table, cells_table, diagnostics_table, main_table
+from humoslope.evaluation.report.paper import Paper, read_paper
+from humoslope.evaluation.report.results import Result, read_results
+from humoslope.evaluation.report.table import Sheet
+from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
 from humoslope.files import check_place, write_text
 
 

@@ -13,15 +13,15 @@ from rich.console import Console
 from humoslope.cli.options import early, parse, saved_options
 from humoslope.cli.overrides import merge_options
 from humoslope.cli.warm_start import Origin, find_origin
-from humoslope.cores import usable_cores
+from humoslope.cpu import usable_cores
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.files import check_place
+from humoslope.learning import checkpoint
+from humoslope.learning.run_folder import describe_run, find_run, tee
+from humoslope.learning.runner import Runner, seed_everything
+from humoslope.presets import Preset
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
-from humoslope.rl import checkpoint
-from humoslope.rl.config import Preset
-from humoslope.rl.rundir import describe_run, find_run, tee
-from humoslope.rl.runner import Runner, seed_everything
 
 
 @dataclasses.dataclass(frozen=True)

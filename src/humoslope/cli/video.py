@@ -12,8 +12,8 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from humoslope.errors import UserError
 from humoslope.files import check_place
+from humoslope.replay.film.video import VideoCfg, write_sheet, write_video
 from humoslope.replay.rollout import load_rollout
-from humoslope.replay.video import VideoCfg, write_sheet, write_video
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import humoslope
 from humoslope.errors import UserError
-from humoslope.evaluation.calibration_file import calibration_path, check_belongs, load_calibration
-from humoslope.registry import WarmStart
-from humoslope.rl import checkpoint
-from humoslope.rl.policy import Provenance, find_checkpoint, read_provenance
-from humoslope.rl.rundir import runs_of
+from humoslope.evaluation.swing.file import calibration_path, check_belongs, load_calibration
+from humoslope.learning import checkpoint
+from humoslope.learning.policy import Provenance, find_checkpoint, read_provenance
+from humoslope.learning.run_folder import runs_of
+from humoslope.registry import WarmStartCfg
 
 PRIOR = "prior"
 """In place of a calibration's path: the values that the task's configuration has."""
@@ -32,7 +32,7 @@ class Origin:
     calibration: str = ""
 
 
-def find_origin(start: WarmStart | None, init: str, calibration: str) -> Origin:
+def find_origin(start: WarmStartCfg | None, init: str, calibration: str) -> Origin:
     """What a run of a task with `start` begins with.
 
     Args:
@@ -68,7 +68,7 @@ def find_origin(start: WarmStart | None, init: str, calibration: str) -> Origin:
     return Origin(earlier, tuple(options), f"Swing calibration {file}: {told}.")
 
 
-def _newest(start: WarmStart) -> Path:
+def _newest(start: WarmStartCfg) -> Path:
     runs = runs_of(start.task)
     shipped = Path(humoslope.__file__).parents[2] / start.shipped
     if runs:

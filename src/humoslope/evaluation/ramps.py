@@ -20,13 +20,12 @@ from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError, require_not_negative, require_positive
-from humoslope.evaluation.physics import measuring_physics
-from humoslope.evaluation.rollout import roll
-from humoslope.evaluation.statistics import Array, Proportion, mean, proportion
-from humoslope.evaluation.trials import Recorder, Trials
-from humoslope.managers import EventTerm, RewardTerm, TerminationTerm, Terms
+from humoslope.evaluation.common import measuring_physics, roll
+from humoslope.evaluation.ramp_trials import Recorder, Trials
+from humoslope.managers import EventTermCfg, RewardTermCfg, TerminationTermCfg, Terms
 from humoslope.mdp import events, rewards, terminations
-from humoslope.terrain.grid import SPAWN_X, Tile, TileRow
+from humoslope.statistics import Array, Proportion, mean, proportion
+from humoslope.terrain.grid import SPAWN_X, Tile, TileRowCfg
 from humoslope.terrain.registry import Kind
 
 APPROACH = 1.5
@@ -143,7 +142,7 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
     Raises:
         UserError: If the task cannot be measured so.
     """
-    actor = dataclasses.replace(task_env.observations.actor, corrupt=False)
+    actor = dataclasses.replace(task_env.observations.actor, enable_corruption=False)
     friction = {"friction": (protocol.friction,) * 2, "slope_margin": protocol.friction_margin}
     sim = measuring_physics(task_env.sim, protocol.timestep, "ramps")
     return dataclasses.replace(
@@ -162,26 +161,26 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
             standing_share=0.0,
         ),
         observations=Terms(actor=actor),
-        rewards=Terms(alive=RewardTerm(rewards.alive)),  # not used; an environment must have one
+        rewards=Terms(alive=RewardTermCfg(rewards.alive)),  # not used; an environment must have one
         terminations=Terms(
-            time_out=TerminationTerm(terminations.time_out, time_out=True),
-            off_tile=TerminationTerm(terminations.off_tile, {"margin": EDGE}, time_out=True),
-            root_too_low=TerminationTerm(terminations.root_too_low, {"height": protocol.fall_height}),
-            tilted=TerminationTerm(terminations.tilted, {"degrees": protocol.fall_tilt}),
+            time_out=TerminationTermCfg(terminations.time_out, time_out=True),
+            off_tile=TerminationTermCfg(terminations.off_tile, {"margin": EDGE}, time_out=True),
+            root_too_low=TerminationTermCfg(terminations.root_too_low, {"height": protocol.fall_height}),
+            tilted=TerminationTermCfg(terminations.tilted, {"degrees": protocol.fall_tilt}),
         ),
         events=Terms(
-            friction=EventTerm(events.randomize_friction, friction, mode="startup"),
-            root=EventTerm(events.reset_on_tile, START),
-            joints=EventTerm(events.reset_joints, START_JOINTS),
+            friction=EventTermCfg(events.randomize_friction, friction, mode="startup"),
+            root=EventTermCfg(events.reset_on_tile, START),
+            joints=EventTermCfg(events.reset_joints, START_JOINTS),
         ),
         curriculum=Terms(),
     )
 
 
-def _ground(protocol: RampProtocol) -> TileRow:
+def _ground(protocol: RampProtocol) -> TileRowCfg:
     up, down = (Kind(name, (0.0, STEEPEST), partial(_ramp, sign=s)) for name, s in (("up", 1.0), ("down", -1.0)))
     tiles = [Tile(down if grade < 0.0 else up, abs(grade)) for grade in protocol.grades]
-    return TileRow(tiles, tile_length=protocol.tile_length)
+    return TileRowCfg(tiles, tile_length=protocol.tile_length)
 
 
 def _ramp(x: Array, y: Array, grade: float, rng: np.random.Generator, sign: float) -> Array:

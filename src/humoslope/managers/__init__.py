@@ -1,32 +1,32 @@
 """The managers: each turns a list of configured terms into one part of the environment step."""
 
-from humoslope.managers.action import ActionManager, JointPositionAction
-from humoslope.managers.command import CommandManager, VelocityCommand
+from humoslope.managers.action import ActionManager, JointPositionActionCfg
+from humoslope.managers.command import CommandManager, VelocityCommandCfg
 from humoslope.managers.curriculum import CurriculumManager
-from humoslope.managers.event import EventManager, EventTerm
+from humoslope.managers.event import EventManager, EventTermCfg
 from humoslope.managers.log import Log
-from humoslope.managers.observation import ObservationGroup, ObservationManager, ObservationTerm
-from humoslope.managers.reward import RewardManager, RewardTerm
-from humoslope.managers.termination import TerminationManager, TerminationTerm
-from humoslope.managers.terms import StatefulTerm, Term, Terms
+from humoslope.managers.observation import ObservationGroupCfg, ObservationManager, ObservationTermCfg
+from humoslope.managers.reward import RewardManager, RewardTermCfg
+from humoslope.managers.termination import TerminationManager, TerminationTermCfg
+from humoslope.managers.terms import StatefulTerm, TermCfg, Terms
 
 __all__ = [
     "ActionManager",
     "CommandManager",
     "CurriculumManager",
     "EventManager",
-    "EventTerm",
-    "JointPositionAction",
+    "EventTermCfg",
+    "JointPositionActionCfg",
     "Log",
-    "ObservationGroup",
+    "ObservationGroupCfg",
     "ObservationManager",
-    "ObservationTerm",
+    "ObservationTermCfg",
     "RewardManager",
-    "RewardTerm",
+    "RewardTermCfg",
     "StatefulTerm",
-    "Term",
+    "TermCfg",
     "TerminationManager",
-    "TerminationTerm",
+    "TerminationTermCfg",
     "Terms",
-    "VelocityCommand",
+    "VelocityCommandCfg",
 ]

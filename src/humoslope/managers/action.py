@@ -10,14 +10,14 @@ from rich.table import Table
 from torch import Tensor
 
 from humoslope.errors import UserError
-from humoslope.strict import Strict
+from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
 @dataclass
-class JointPositionAction(Strict):
+class JointPositionActionCfg(StrictCfg):
     """Target of every joint: default pose + `scale_factor` x the robot's action scale x action.
 
     Actions are not clipped: with the gains of a low-impedance drive, peak torque needs actions of 3 and more.
@@ -29,7 +29,7 @@ class JointPositionAction(Strict):
 class ActionManager:
     """Turns actions into controls and remembers the last two."""
 
-    def __init__(self, env: Env, cfg: JointPositionAction) -> None:
+    def __init__(self, env: Env, cfg: JointPositionActionCfg) -> None:
         robot = env.robot
         if cfg.scale_factor <= 0.0:
             raise UserError(f"actions: scale_factor {cfg.scale_factor} must be positive.")

@@ -11,14 +11,14 @@ from rich.table import Table
 from torch import Tensor
 
 from humoslope.errors import UserError
-from humoslope.strict import Strict
+from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
 @dataclass
-class VelocityCommand(Strict):
+class VelocityCommandCfg(StrictCfg):
     """Speed along the ground in the heading frame, and yaw rate.
 
     Attributes:
@@ -48,7 +48,7 @@ class VelocityCommand(Strict):
 class CommandManager:
     """Draws commands and steers the worlds that hold a heading."""
 
-    def __init__(self, env: Env, cfg: VelocityCommand) -> None:
+    def __init__(self, env: Env, cfg: VelocityCommandCfg) -> None:
         for name in ("speed", "lateral", "yaw_rate", "resample_s"):
             low, high = getattr(cfg, name)
             if not -math.inf < low <= high < math.inf:

@@ -8,7 +8,7 @@ from rich.table import Table
 from torch import Tensor
 
 from humoslope.errors import unknown
-from humoslope.managers.terms import StatefulTerm, Term, Terms, bind
+from humoslope.managers.terms import StatefulTerm, TermCfg, Terms, bind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +23,7 @@ class CurriculumManager:
     A class may define `state_dict` and `load_state_dict`; they go into the checkpoint.
     """
 
-    def __init__(self, env: Env, cfg: Terms[Term]) -> None:
+    def __init__(self, env: Env, cfg: Terms[TermCfg]) -> None:
         self._env = env
         self._calls: dict[str, Callable[..., Any]] = {}
         env.curriculum = self  # a term may build on one before it

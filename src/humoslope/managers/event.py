@@ -11,7 +11,7 @@ from rich.table import Table
 from torch import Tensor
 
 from humoslope.errors import UserError, unknown
-from humoslope.managers.terms import StatefulTerms, Term, Terms, bind
+from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -21,7 +21,7 @@ MODES: tuple[Mode, ...] = ("startup", "reset", "interval", "step")
 
 
 @dataclass
-class EventTerm(Term):
+class EventTermCfg(TermCfg):
     """`func(env, mask, **params)`, acting on the worlds in `mask` [N].
 
     Attributes:
@@ -36,7 +36,7 @@ class EventTerm(Term):
 class EventManager:
     """Runs the events of each mode."""
 
-    def __init__(self, env: Env, cfg: Terms[EventTerm]) -> None:
+    def __init__(self, env: Env, cfg: Terms[EventTermCfg]) -> None:
         self._env = env
         self._stateful = StatefulTerms()
         self._calls: dict[Mode, dict[str, Callable[..., Any]]] = {mode: {} for mode in MODES}

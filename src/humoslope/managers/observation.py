@@ -12,15 +12,15 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.errors import UserError
-from humoslope.managers.terms import StatefulTerms, Term, Terms, bind, first_value
-from humoslope.strict import Strict
+from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind, first_value
+from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
 @dataclass
-class ObservationTerm(Term):
+class ObservationTermCfg(TermCfg):
     """`func(env, **params) -> [N, d]`.
 
     Attributes:
@@ -38,25 +38,25 @@ def any_noise(env: Env, frame: Tensor) -> Tensor:
 
 
 @dataclass
-class ObservationGroup(Strict):
+class ObservationGroupCfg(StrictCfg):
     """Terms concatenated into one vector.
 
     Attributes:
         history: Number of control steps it spans; each term's frames stand together, oldest first.
-        corrupt: Whether noise is added.
+        enable_corruption: Whether noise is added.
         noise_source: `func(env, frame [N, D]) -> [N, D]`, the uniform numbers in [0, 1) that noise is made of.
     """
 
-    terms: Terms[ObservationTerm] = field(default_factory=Terms)
+    terms: Terms[ObservationTermCfg] = field(default_factory=Terms)
     history: int = 1
-    corrupt: bool = False
+    enable_corruption: bool = False
     noise_source: Callable[..., Tensor] = any_noise
 
 
 class ObservationManager:
     """Computes every group as a fresh tensor each step, since the learner keeps references."""
 
-    def __init__(self, env: Env, cfg: Terms[ObservationGroup]) -> None:
+    def __init__(self, env: Env, cfg: Terms[ObservationGroupCfg]) -> None:
         self.groups = {name: _Group(env, name, group) for name, group in cfg.items()}
         self._num_envs = env.num_envs
         self._device = env.device
@@ -78,18 +78,20 @@ class ObservationManager:
         """What each group sees."""
         table = Table("group", "term", "size", "scale", "noise", title="Observations")
         for name, group in self.groups.items():
-            noisy = " noisy" if group.cfg.corrupt else ""
+            noisy = " noisy" if group.cfg.enable_corruption else ""
             table.add_row(name, "", f"{group.size}", "", f"history {group.cfg.history}{noisy}", style="bold")
             for term, width in group.widths.items():
                 cfg = getattr(group.cfg.terms, term)
-                table.add_row("", term, str(width), f"{cfg.scale:g}", f"±{cfg.noise:g}" if group.cfg.corrupt else "")
+                table.add_row(
+                    "", term, str(width), f"{cfg.scale:g}", f"±{cfg.noise:g}" if group.cfg.enable_corruption else ""
+                )
         return table
 
 
 class _Group:
     """One frame of all terms is handled as a single [N, D] tensor: one noise draw, one scaling, one history shift."""
 
-    def __init__(self, env: Env, name: str, cfg: ObservationGroup) -> None:
+    def __init__(self, env: Env, name: str, cfg: ObservationGroupCfg) -> None:
         if cfg.history < 1:
             raise UserError(f"observation group '{name}': history {cfg.history} must be at least 1.")
         self.env, self.cfg = env, cfg
@@ -114,7 +116,7 @@ class _Group:
     def compute(self, restarted: Tensor) -> Tensor:
         frame = torch.cat([call(self.env) for call in self._calls.values()], dim=1)
         frame = frame * self._scale
-        if self.cfg.corrupt:
+        if self.cfg.enable_corruption:
             uniform = self.cfg.noise_source(self.env, frame)  # in [0, 1)
             frame = torch.addcmul(frame - self._noise, uniform, 2.0 * self._noise)
         if self.cfg.history == 1:

@@ -10,14 +10,14 @@ from rich.table import Table
 from torch import Tensor
 
 from humoslope.errors import UserError
-from humoslope.managers.terms import StatefulTerms, Term, Terms, bind, first_value
+from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind, first_value
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
 @dataclass
-class RewardTerm(Term):
+class RewardTermCfg(TermCfg):
     """`func(env, **params) -> [N]`; it earns `weight` times its value per second."""
 
     weight: float = 1.0
@@ -26,12 +26,10 @@ class RewardTerm(Term):
 class RewardManager:
     """Computes the reward of each step and the mean of each term over finished episodes."""
 
-    def __init__(self, env: Env, cfg: Terms[RewardTerm]) -> None:
+    def __init__(self, env: Env, cfg: Terms[RewardTermCfg]) -> None:
         self._env = env
         self._stateful = StatefulTerms()
         terms = {name: term for name, term in cfg.items() if term.weight != 0.0}
-        if not terms:
-            raise UserError("rewards: no term has a weight other than zero.")
         self.names = list(terms)
         self._curves = tuple(f"Reward/{name}" for name in terms)
         self._calls = [self._stateful.keep(bind("reward", name, term, env)) for name, term in terms.items()]
@@ -49,6 +47,8 @@ class RewardManager:
 
     def compute(self, dt: float) -> Tensor:
         """The reward [N] of a step of `dt` seconds."""
+        if not self._calls:  # an evaluation rewards nothing
+            return self._env.zeros()
         values = torch.stack([call(self._env) for call in self._calls], dim=1) * self._weights  # [N, T] per second
         self.last = values
         self._sums = torch.add(self._sums, values, alpha=dt)

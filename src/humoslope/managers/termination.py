@@ -10,14 +10,14 @@ import torch
 from rich.table import Table
 from torch import Tensor
 
-from humoslope.managers.terms import StatefulTerms, Term, Terms, bind
+from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
 @dataclass
-class TerminationTerm(Term):
+class TerminationTermCfg(TermCfg):
     """`func(env, **params) -> [N] bool`. A `time_out` is no failure:
     the value of what would have followed is bootstrapped."""
 
@@ -27,7 +27,7 @@ class TerminationTerm(Term):
 class TerminationManager:
     """Computes which worlds end, and why."""
 
-    def __init__(self, env: Env, cfg: Terms[TerminationTerm]) -> None:
+    def __init__(self, env: Env, cfg: Terms[TerminationTermCfg]) -> None:
         self._env = env
         self._stateful = StatefulTerms()
         self._time_out = [term.time_out for _, term in cfg.items()]

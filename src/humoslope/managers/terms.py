@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from torch import Tensor
 
 from humoslope.errors import UserError, unknown
-from humoslope.strict import Strict
+from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -56,7 +56,7 @@ class Terms(Generic[T]):
 
 
 @dataclass
-class Term(Strict):
+class TermCfg(StrictCfg):
     """A function or `StatefulTerm` class, and its parameters beyond the environment."""
 
     func: Callable[..., Any]
@@ -68,10 +68,10 @@ class StatefulTerm(ABC):
 
     @abstractmethod
     def reset(self, mask: Tensor) -> None:
-        """Forgets what belongs to the worlds in `mask` [N]."""
+        """Forgets what belongs to the envs in `mask` [N]."""
 
 
-def bind(kind: str, name: str, term: Term, env: Env, implicit: tuple[str, ...] = ("env",)) -> Callable[..., Any]:
+def bind(kind: str, name: str, term: TermCfg, env: Env, implicit: tuple[str, ...] = ("env",)) -> Callable[..., Any]:
     """Makes a term callable as `call(*implicit)`, its parameters filled in.
 
     Args:

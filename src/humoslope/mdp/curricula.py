@@ -9,7 +9,7 @@ from torch import Tensor
 
 from humoslope.errors import UserError
 from humoslope.managers.terms import StatefulTerm
-from humoslope.mdp.harness import WithdrawHarness
+from humoslope.mdp.harness import HarnessCurriculum
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -36,7 +36,7 @@ class TerrainLevels(StatefulTerm):
             raise UserError(f"terrain levels: spread {spread:g} must be between 0 and 1.")
         env.tiles.set_level(torch.randint_like(env.tiles.level, max(1, round(spread * env.tiles.num_levels))))
         self._up, self._down = up, down
-        self._harness: WithdrawHarness | None = env.curriculum[harness] if harness else None
+        self._harness: HarnessCurriculum | None = env.curriculum[harness] if harness else None
         self._asked = env.zeros()  # [N] m commanded since the start of the episode
 
     def __call__(self, env: Env, mask: Tensor) -> Tensor:

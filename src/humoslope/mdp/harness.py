@@ -53,7 +53,7 @@ class Harness(StatefulTerm):
         """Nothing is remembered: the physics clears the wrench of a world that starts anew."""
 
 
-class WithdrawHarness(StatefulTerm):
+class HarnessCurriculum(StatefulTerm):
     """Curriculum: the harness is taken away while the robots hardly fall and really walk.
 
     Args:

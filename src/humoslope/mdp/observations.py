@@ -10,51 +10,50 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from humoslope.mdp import mirror
-from humoslope.mdp.measured import measured_as
-from humoslope.mdp.mirror import mirrored_as
+from humoslope.mdp import declare
+from humoslope.mdp.declare import measured_as, mirrored_as
 from humoslope.slope.descriptor import phi5
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
-@mirrored_as(mirror.axial)
+@mirrored_as(declare.axial)
 @measured_as("root_angular_velocity")
 def base_ang_vel(env: Env) -> Tensor:
     """Angular velocity of the root in its own frame, rad/s, [N, 3]."""
     return env.signals.root_ang_vel_b
 
 
-@mirrored_as(mirror.polar)
+@mirrored_as(declare.polar)
 @measured_as("gravity_direction")
 def projected_gravity(env: Env) -> Tensor:
     """Direction of gravity in the root frame, [N, 3]."""
     return env.signals.projected_gravity_b
 
 
-@mirrored_as(mirror.planar_velocity)
+@mirrored_as(declare.planar_velocity)
 @measured_as("velocity_command")
 def velocity_command(env: Env) -> Tensor:
     """Commanded speed forward and left, m/s, and yaw rate, rad/s, [N, 3]."""
     return env.commands.velocity
 
 
-@mirrored_as(mirror.joints)
+@mirrored_as(declare.joints)
 @measured_as("joint_position_offset")
 def joint_pos_rel(env: Env) -> Tensor:
     """Joint positions relative to the default pose, rad, [N, J]."""
     return env.signals.joint_pos - env.default_joint_pos
 
 
-@mirrored_as(mirror.joints)
+@mirrored_as(declare.joints)
 @measured_as("joint_velocity")
 def joint_vel(env: Env) -> Tensor:
     """Joint velocities, rad/s, [N, J]."""
     return env.signals.joint_vel
 
 
-@mirrored_as(mirror.joints)
+@mirrored_as(declare.joints)
 @measured_as("last_action")
 def last_action(env: Env) -> Tensor:
     """The last action, as the policy gave it, [N, J]."""
@@ -64,39 +63,39 @@ def last_action(env: Env) -> Tensor:
 # Privileged.
 
 
-@mirrored_as(mirror.polar)
+@mirrored_as(declare.polar)
 def base_lin_vel(env: Env) -> Tensor:
     """Velocity of the root in its own frame, m/s, [N, 3]."""
     return env.signals.root_lin_vel_b
 
 
-@mirrored_as(mirror.feet)
+@mirrored_as(declare.feet)
 def foot_contact(env: Env) -> Tensor:
     """Whether each foot touches the ground, [N, 2]."""
     return env.signals.foot_contact.to(torch.float32)
 
 
-@mirrored_as(mirror.feet)
+@mirrored_as(declare.feet)
 def foot_load(env: Env) -> Tensor:
     """Ground force on each foot in units of body weight, [N, 2]."""
     return env.signals.foot_force / (env.robot.total_mass * 9.81)
 
 
-@mirrored_as(mirror.feet)
+@mirrored_as(declare.feet)
 def foot_height(env: Env) -> Tensor:
     """Height of each sole above the ground below it, m, [N, 2]."""
     return env.signals.foot_height
 
 
-@mirrored_as(mirror.itself)
+@mirrored_as(declare.itself)
 def friction(env: Env) -> Tensor:
     """Friction coefficient between feet and ground, [N, 1]."""
     geom = env.sim.model.geom(env.robot.foot_geoms[0][0]).id
     return env.sim.expand("geom_friction")[:, geom, :1].to(torch.float32)
 
 
-def _scan_image(env: Env, **params: object) -> mirror.Image:
-    size = env.patch.cfg.size
+def _scan_image(env: Env, **params: object) -> declare.Image:
+    size = env.height_scan.cfg.size
     index = torch.arange(size * size).view(size, size).flip(1).flatten()
     return index, torch.ones(size * size)
 
@@ -108,15 +107,15 @@ def height_scan(env: Env, clip: float = 1.0) -> Tensor:
     Args:
         clip: Largest absolute value, m.
     """
-    height = (env.signals.root_pos_w[:, 2:3] - env.robot.default_root_height) - env.patch.heights_w
+    height = (env.signals.root_pos_w[:, 2:3] - env.robot.default_root_height) - env.height_scan.heights_w
     return height.clamp(-clip, clip)
 
 
-def _descriptor_image(env: Env, **params: object) -> mirror.Image:
+def _descriptor_image(env: Env, **params: object) -> declare.Image:
     return torch.arange(5), torch.tensor([1.0, -1.0, 1.0, 1.0, 1.0])
 
 
 @mirrored_as(_descriptor_image)
 def terrain_descriptor(env: Env) -> Tensor:
     """phi5 of the ground patch: slope, bank and |slope| in rad, and whether it goes up or down, [N, 5]."""
-    return phi5(env.patch.descriptor)
+    return phi5(env.height_scan.descriptor)

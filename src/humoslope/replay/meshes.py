@@ -14,7 +14,7 @@ import trimesh
 
 from humoslope.errors import UserError
 from humoslope.files import write_text
-from humoslope.replay.shape import Shape, joined
+from humoslope.replay.shapes import Shape, joined
 from humoslope.scene.robot import MeshSource
 
 CACHE = Path(".meshes")

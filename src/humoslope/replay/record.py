@@ -16,16 +16,16 @@ from torch import Tensor
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError, require_not_negative, require_positive
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
-from humoslope.managers import EventTerm, RewardTerm, Terms
-from humoslope.mdp.balance import ZmpRegulariser
-from humoslope.mdp.gait import ComHeight
-from humoslope.replay import happenings
+from humoslope.learning.policy import Provenance
+from humoslope.managers import EventTermCfg, RewardTermCfg, Terms
+from humoslope.mdp.bsga import ComHeight
+from humoslope.mdp.zmp import ZmpRegulariser
+from humoslope.provenance import git_state, plain
+from humoslope.replay import events
 from humoslope.replay.recorder import Pushes, Recorder
 from humoslope.replay.rollout import Columns, Event, Rollout
-from humoslope.rl.policy import Provenance
-from humoslope.rl.rundir import git_state, plain
 from humoslope.terrain import course, registry
-from humoslope.terrain.grid import SPAWN_X, Tile, TileRow
+from humoslope.terrain.grid import SPAWN_X, Tile, TileRowCfg
 
 USUAL_GRADE = 20.0
 """Grade where none is asked for, degrees."""
@@ -93,12 +93,12 @@ class RecordProtocol:
             )
         return self.grade
 
-    def ground(self) -> TileRow:
+    def ground(self) -> TileRowCfg:
         """The terrain at its grade: a course as it is, any other terrain long enough for the walk."""
         if course.is_course(self.terrain):
             return course.find(self.terrain).ground((self.resolve_grade(),))
         length = max(SHORTEST, math.ceil(SPAWN_X + ROOM * self.speed * self.seconds))
-        return TileRow([Tile(registry.find(self.terrain), self.resolve_grade())], tile_length=float(length))
+        return TileRowCfg([Tile(registry.find(self.terrain), self.resolve_grade())], tile_length=float(length))
 
 
 def record_env_cfg(task_env: EnvCfg, protocol: RecordProtocol) -> EnvCfg:
@@ -114,16 +114,16 @@ def record_env_cfg(task_env: EnvCfg, protocol: RecordProtocol) -> EnvCfg:
     cfg.rewards = task_env.rewards
     if protocol.push:
         every = (protocol.push_every,) * 2
-        cfg.events.push = EventTerm(Pushes, {"speed": protocol.push}, mode="interval", interval_s=every)
+        cfg.events.push = EventTermCfg(Pushes, {"speed": protocol.push}, mode="interval", interval_s=every)
     recorded = {
         "regulariser": _params(task_env.rewards, ZmpRegulariser) or {},
         "com_height": _params(task_env.rewards, ComHeight),
     }
-    cfg.events.recorder = EventTerm(Recorder, recorded, mode="step")
+    cfg.events.recorder = EventTermCfg(Recorder, recorded, mode="step")
     return cfg
 
 
-def _params(rewards: Terms[RewardTerm], kind: type) -> dict[str, Any] | None:
+def _params(rewards: Terms[RewardTermCfg], kind: type) -> dict[str, Any] | None:
     """Parameters of the task's reward of that kind; None if it has none."""
     return next((term.params for _, term in rewards.items() if term.func is kind), None)
 
@@ -186,19 +186,19 @@ def _describe_robot(env: ManagerBasedRlEnv) -> dict[str, Any]:
 def _events(env: ManagerBasedRlEnv, protocol: RecordProtocol, columns: Columns) -> tuple[Event, ...]:
     """What happened, in the order of time. On a course its segments tell of the ground, elsewhere the fitted plane."""
     recorder: Recorder = env.events["recorder"]
-    events = happenings.falls(columns, recorder.fell)
+    happened = events.falls(columns, recorder.fell)
     if course.is_course(protocol.terrain):
         track = course.find(protocol.terrain)
         names = [segment.name for segment in track.segments]
-        events += happenings.segments(columns, float(env.tiles.origin_w[0, 0]), names, track.ends)
+        happened += events.segments(columns, float(env.tiles.origin_w[0, 0]), names, track.ends)
     else:
-        events += happenings.grounds(columns, env.step_dt)
+        happened += events.grounds(columns, env.step_dt)
     if protocol.push:
         pushes: Pushes = env.events["push"]
-        events += happenings.pushes([(steps * env.step_dt, x, y) for steps, x, y in pushes.kicks])
+        happened += events.pushes([(steps * env.step_dt, x, y) for steps, x, y in pushes.kicks])
     if recorder.ended:
-        events.append(Event(float(columns.time[-1]), "end", "end of the ground"))
-    return tuple(sorted(events))
+        happened.append(Event(float(columns.time[-1]), "end", "end of the ground"))
+    return tuple(sorted(happened))
 
 
 def signed(rollout: Rollout, provenance: Provenance, label: str) -> Rollout:

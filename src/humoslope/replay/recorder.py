@@ -10,8 +10,8 @@ from torch import Tensor
 
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp import events
-from humoslope.mdp.balance import ZmpRegulariser
-from humoslope.mdp.gait import ComHeight
+from humoslope.mdp.bsga import ComHeight
+from humoslope.mdp.zmp import ZmpRegulariser
 from humoslope.replay.rollout import Columns
 from humoslope.slope import quaternion
 
@@ -59,7 +59,7 @@ class Recorder(StatefulTerm):
         self.ended = self.fell = False
 
     def __call__(self, env: Env, mask: Tensor) -> None:
-        signals, ground = env.signals, env.patch.descriptor
+        signals, ground = env.signals, env.height_scan.descriptor
         self._zmp(env)
         row = {name: getattr(signals, name) for name in SIGNALS} | {
             "action": env.actions.action,
@@ -92,7 +92,7 @@ class Recorder(StatefulTerm):
         if self._com_height is None:
             return torch.full_like(env.signals.com_height, torch.nan)
         # What lies at right angles to the slope is further off vertically.
-        return self._com_height.target(env) / env.patch.descriptor.slope.cos()
+        return self._com_height.target(env) / env.height_scan.descriptor.slope.cos()
 
     def reset(self, mask: Tensor) -> None:
         """The support plane of the last episode is forgotten; the rows stay."""

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
 from humoslope.replay.rollout import Rollout
-from humoslope.replay.shape import Shape
+from humoslope.replay.shapes import Shape
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from mujoco import mjtState, mjtWarning
 from numpy.typing import NDArray
 from torch import Tensor
 
-from humoslope.cores import usable_cores
+from humoslope.cpu import usable_cores
 from humoslope.errors import UserError
 from humoslope.sim.fields import STATE_FIELDS, check_model_field, check_reading, check_reset, check_state, no_access
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from humoslope.errors import UserError, unknown
 from humoslope.terrain import registry
-from humoslope.terrain.grid import Tile, TileRow
+from humoslope.terrain.grid import Tile, TileRowCfg
 from humoslope.terrain.registry import HeightFunction
 
 _F = TypeVar("_F", bound=HeightFunction)
@@ -81,7 +81,7 @@ class Course:
         inner = torch.tensor(self.ends[:-1], dtype=x.dtype, device=x.device)
         return torch.bucketize(x, inner, right=True)
 
-    def ground(self, grades: Sequence[float]) -> TileRow:
+    def ground(self, grades: Sequence[float]) -> TileRowCfg:
         """The course side by side at each of `grades`, in degrees.
 
         Raises:
@@ -93,7 +93,7 @@ class Course:
                 raise UserError(f"course '{self.name}': grade {grade:g} must be between {low:g} and {high:g} degrees.")
         kind = registry.find(self.name)
         tiles = [Tile(kind, float(grade)) for grade in grades]
-        return TileRow(tiles, tile_length=self.length, tile_width=self.width, cell=self.cell)
+        return TileRowCfg(tiles, tile_length=self.length, tile_width=self.width, cell=self.cell)
 
 
 def course(

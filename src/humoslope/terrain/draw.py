@@ -11,7 +11,7 @@ import numpy as np
 from humoslope.errors import UserError
 from humoslope.terrain import course, registry
 from humoslope.terrain.course import Course
-from humoslope.terrain.grid import SPAWN_X, TerrainGrid, tile_points
+from humoslope.terrain.grid import SPAWN_X, TerrainGridCfg, tile_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +26,7 @@ def run(
     *,
     seed: int = 0,
     difficulties: Sequence[float] = DIFFICULTIES,
-    grid: TerrainGrid | None = None,
+    grid: TerrainGridCfg | None = None,
 ) -> Path:
     """Writes a PNG of a registered terrain: profiles along the centre line, and relief coloured by the local grade.
     A course has its segments named.
@@ -36,7 +36,7 @@ def run(
         out: Where to write; folders are made.
         seed: Of the random numbers; the picture shows the tiles of column 0.
         difficulties: In [0, 1], one tile each; a terrain of one grade is drawn once.
-        grid: Gives tile size and cell; by default those of `TerrainGrid`. A course has its own.
+        grid: Gives tile size and cell; by default those of `TerrainGridCfg`. A course has its own.
     Returns:
         Where it was written.
     Raises:
@@ -51,7 +51,7 @@ def run(
     if drawn is not None:
         x, y = tile_points(drawn.length, drawn.width, drawn.cell)
     else:
-        grid = grid or TerrainGrid(columns={name: 1.0})
+        grid = grid or TerrainGridCfg(columns={name: 1.0})
         x, y = tile_points(grid.tile_length, grid.tile_width, grid.cell)
     tiles = []
     for level, difficulty in enumerate(difficulties):

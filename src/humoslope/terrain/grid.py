@@ -50,7 +50,7 @@ class Terrain:
 
 
 @dataclass(frozen=True)
-class TerrainGrid:
+class TerrainGridCfg:
     """What a terrain is built from.
 
     Each tile is drawn on its own and keeps a seam of one cell to its neighbours, in which any step in height lies.
@@ -116,12 +116,12 @@ class Tile(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TileRow:
+class TileRowCfg:
     """Tiles side by side, each asked for by itself: what a measurement walks on. Its terrains need not be registered.
 
     Attributes:
         tiles: One for each column of the only level.
-        tile_length, tile_width, cell, border, seed: As in `TerrainGrid`.
+        tile_length, tile_width, cell, border, seed: As in `TerrainGridCfg`.
     """
 
     tiles: Sequence[Tile]
@@ -139,7 +139,7 @@ class TileRow:
         return _lay_out(self, [self.tiles])
 
 
-def _check_extents(layout: TerrainGrid | TileRow) -> None:
+def _check_extents(layout: TerrainGridCfg | TileRowCfg) -> None:
     for field in ("tile_length", "tile_width", "cell"):
         if not 0.0 < getattr(layout, field) < math.inf:
             raise UserError(f"terrain: {field} is {getattr(layout, field)} m; it must be positive.")
@@ -157,7 +157,7 @@ def _check_extents(layout: TerrainGrid | TileRow) -> None:
         raise UserError(f"terrain: seed is {layout.seed}; it must be 0 or more.")
 
 
-def _lay_out(layout: TerrainGrid | TileRow, tiles: Sequence[Sequence[Tile]]) -> Terrain:
+def _lay_out(layout: TerrainGridCfg | TileRowCfg, tiles: Sequence[Sequence[Tile]]) -> Terrain:
     """Draws `tiles` [levels][columns] into one height field."""
     cell, levels, columns = layout.cell, len(tiles), len(tiles[0])
     x, y = tile_points(layout.tile_length, layout.tile_width, cell)

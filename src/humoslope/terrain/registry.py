@@ -69,9 +69,9 @@ def terrain(name: str, grade: tuple[float, float], *, training: bool = True) -> 
     """Registers a height function under a name.
 
     Args:
-        name: What a `TerrainGrid` and the command line call it.
+        name: What a `TerrainGridCfg` and the command line call it.
         grade: Range in degrees that difficulty 0..1 runs through.
-        training: Whether a `TerrainGrid` may hold it.
+        training: Whether a `TerrainGridCfg` may hold it.
     Returns:
         A decorator that gives the function back unchanged.
     Raises:

@@ -1,0 +1,169 @@
+"""The learning curve of a run, read from its event files and drawn against environment steps."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from tensorboard.backend.event_processing.event_accumulator import SCALARS, EventAccumulator
+
+from humoslope.errors import UserError
+from humoslope.files import write_text
+from humoslope.statistics import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+STEPS = "Perf/total_steps"
+ITERATION = "iteration"
+INK, LINE = "#333333", "#1f6f8b"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One curve: its tag, what it is called, and the range of its axis if that is known beforehand."""
+
+    tag: str
+    title: str
+    low: float | None = None
+    high: float | None = None
+
+
+PANELS = (
+    Panel("Train/reward", "reward per second"),
+    Panel("Train/episode_length", "length of finished episodes, control steps", low=0.0),
+    Panel("Train/falls_per_second", "falls per world and second", low=0.0),
+    Panel("Curriculum/harness", "scale of the training harness", -0.03, 1.03),
+    Panel("Curriculum/terrain_levels", "mean terrain level", low=0.0),
+    Panel("Reward/track_velocity", "speed tracking reward per second", low=0.0),
+)
+
+Curve = dict[int, float]
+"""Iteration -> value."""
+
+
+def read_curves(run_dir: Path) -> dict[str, Curve]:
+    """All scalars of a run by tag, iterations in order.
+
+    A run that was resumed wrote several event files. Where a later file starts, the earlier ones end: what they hold of
+    later iterations was done after the checkpoint that the run went back to.
+
+    Raises:
+        UserError: If the folder does not exist or holds no curves.
+    """
+    if not run_dir.is_dir():
+        raise UserError(f"run folder '{run_dir}' does not exist.")
+    parts = [part for path in run_dir.glob("events.out.tfevents.*") if (part := _read(path)) is not None]
+    if not parts:
+        raise UserError(f"run folder '{run_dir}' holds no curves (events.out.tfevents.*).")
+    merged: dict[str, Curve] = {}
+    for _, curves in sorted(parts, key=lambda part: part[0]):
+        merged = continued(merged, curves)
+    return merged
+
+
+def continued(earlier: Mapping[str, Curve], later: Mapping[str, Curve]) -> dict[str, Curve]:
+    """Both as one, of which the later holds from its first iteration on."""
+    first = min(min(curve) for curve in later.values())
+    merged = {tag: {i: v for i, v in curve.items() if i < first} for tag, curve in earlier.items()}
+    for tag, curve in later.items():
+        merged.setdefault(tag, {}).update(curve)
+    return {tag: dict(sorted(curve.items())) for tag, curve in merged.items() if curve}
+
+
+def read_table(path: Path) -> dict[str, Curve]:
+    """Curves from a table that `write_table` wrote.
+
+    Raises:
+        UserError: If it is no such table.
+    """
+    try:
+        rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+        tags = [tag for tag in rows[0] if tag != ITERATION]
+        return {tag: {int(row[ITERATION]): float(row[tag]) for row in rows if row[tag]} for tag in tags}
+    except (OSError, UnicodeError, IndexError, KeyError, ValueError, TypeError):
+        raise UserError(f"'{path}' is not a table of curves as `humoslope curve --table` writes it.") from None
+
+
+def write_table(curves: Mapping[str, Curve], path: Path) -> None:
+    """Writes what is drawn as a table: a line for each iteration, to five digits.
+
+    Event files are large and stay where the run was; this is what is kept of them.
+    """
+    tags = [tag for tag in (STEPS, *(panel.tag for panel in PANELS)) if tag in curves]
+    out = io.StringIO()
+    table = csv.writer(out, lineterminator="\n")
+    table.writerow([ITERATION, *tags])
+    for iteration in curves[STEPS]:
+        values = [curves[tag].get(iteration) for tag in tags]
+        # Steps are whole, and must not be rounded.
+        table.writerow([iteration, *("" if v is None else f"{v:.0f}" if v >= 1e5 else f"{v:.5g}" for v in values)])
+    write_text(path, out.getvalue())
+
+
+def draw(curves: Mapping[str, Curve], title: str, out: Path) -> None:
+    """Writes a picture of the curves that are there, against environment steps.
+
+    Raises:
+        UserError: If there are none, or the picture cannot be written.
+    """
+    # Drawn without pyplot, so that neither a screen nor the backend the user chose matters.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    panels = [panel for panel in PANELS if panel.tag in curves]
+    if STEPS not in curves or not panels:
+        raise UserError(f"the curves of {title} hold no {STEPS}, or none of {', '.join(p.tag for p in PANELS)}.")
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(5.5 * columns, 0.7 + 2.5 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, color=INK, fontsize=13)
+    axes = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
+    for axis in axes[len(panels) :]:
+        axis.set_visible(False)
+    for axis, panel in zip(axes, panels, strict=False):
+        _draw_panel(axis, panel, curves[STEPS], curves[panel.tag])
+    figure.supxlabel("environment steps, million", fontsize=10, color=INK)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(out, dpi=130)
+    except (OSError, ValueError) as error:
+        raise UserError(f"cannot write the curve to '{out}': {error}.") from None
+
+
+def smooth(values: Array, window: int) -> Array:
+    """Mean over `window` values around each; fewer at the ends."""
+    sums = np.concatenate(([0.0], np.cumsum(values)))
+    index = np.arange(len(values))
+    low, high = np.maximum(index - window // 2, 0), np.minimum(index + window // 2 + 1, len(values))
+    return (sums[high] - sums[low]) / (high - low)
+
+
+def _draw_panel(axis: Axes, panel: Panel, steps: Curve, curve: Curve) -> None:
+    there = [iteration for iteration in curve if iteration in steps]
+    x = np.array([steps[i] for i in there]) / 1e6
+    y = np.array([curve[i] for i in there])
+    axis.plot(x, y, color=LINE, linewidth=0.7, alpha=0.35)
+    axis.plot(x, smooth(y, max(1, len(y) // 60)), color=LINE, linewidth=1.8)
+    axis.set_title(panel.title, fontsize=10, color=INK, loc="left")
+    low, high = axis.get_ylim()
+    axis.set_ylim(low if panel.low is None else panel.low, high if panel.high is None else panel.high)
+    axis.margins(x=0.01)
+    axis.grid(color="0.92")
+    axis.set_axisbelow(True)
+    axis.tick_params(labelsize=8, colors=INK)
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def _read(path: Path) -> tuple[float, dict[str, Curve]] | None:
+    """When an event file was begun, and its scalars; None if it has none."""
+    events = EventAccumulator(str(path), size_guidance={SCALARS: 0})  # 0: all of them
+    events.Reload()
+    curves = {tag: {e.step: e.value for e in events.Scalars(tag)} for tag in events.Tags()[SCALARS]}
+    return (events.FirstEventTimestamp(), curves) if curves else None

@@ -1,0 +1,1 @@
+"""The swing calibration: walked on ramps, fitted, written and drawn."""

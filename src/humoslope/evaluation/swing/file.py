@@ -1,0 +1,100 @@
+"""The calibration as a file: what Stage II reads, and the check that it belongs to the checkpoint it starts from."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from humoslope.errors import UserError
+from humoslope.evaluation.swing.fit import SwingFit
+from humoslope.files import write_text
+from humoslope.slope.swing import SwingCalibration
+
+WHAT = "swing calibration"
+FORMAT = 1
+"""Raised when a calibration of an older format can no longer be read."""
+
+
+def calibration_path(checkpoint: Path) -> Path:
+    """Where the calibration of a checkpoint is looked for: beside it."""
+    return checkpoint.with_suffix(".swing.json")
+
+
+def write_calibration(path: Path, found: SwingFit, meta: dict[str, Any]) -> None:
+    """Writes a calibration as JSON, in one step.
+
+    The file holds `what` and `format`; `beta0` (rad), `beta1` (rad/rad) and `theta_clip` (rad) with standard errors;
+    `rms_residual` (rad); `bins`, each with its `centre` (degrees), `slope` (rad), `flexion` (rad), `count`, `residual`
+    (rad) and whether it was `used`; and `meta`.
+
+    Args:
+        meta: Where it comes from; `meta["checkpoint"]` must hold the checkpoint's `path` and `sha256`.
+    """
+    bins = [
+        dataclasses.asdict(b) | {"residual": residual} for b, residual in zip(found.bins, found.residuals, strict=True)
+    ]
+    whole = {
+        "what": WHAT,
+        "format": FORMAT,
+        **dataclasses.asdict(found.calibration),
+        "beta0_error": found.beta0_error,
+        "beta1_error": found.beta1_error,
+        "rms_residual": found.rms_residual,
+        "bins": bins,
+        **meta,
+    }
+    write_text(path, json.dumps(whole, indent=2, allow_nan=False) + "\n")
+
+
+def load_calibration(path: Path) -> tuple[SwingCalibration, dict[str, Any]]:
+    """The coefficients of a calibration file, and everything in it.
+
+    Raises:
+        UserError: If the file is missing, broken, no calibration, or of another format.
+    """
+    if not path.is_file():
+        raise UserError(f"calibration '{path}' does not exist; `humoslope calibrate CHECKPOINT` makes one.")
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError, RecursionError):
+        raise UserError(f"calibration '{path}' is broken or truncated, or no JSON at all.") from None
+    if not isinstance(meta, dict) or meta.get("what") != WHAT:
+        raise UserError(f"'{path}' is not a swing calibration.")
+    if meta.get("format") != FORMAT:
+        raise UserError(f"calibration '{path}' has format {meta.get('format')}; this version reads format {FORMAT}.")
+    beta0, beta1, theta_clip = (_number(path, meta, name) for name in ("beta0", "beta1", "theta_clip"))
+    made_from = meta.get("checkpoint")
+    if not isinstance(made_from, dict) or not all(isinstance(made_from.get(k), str) for k in ("path", "sha256")):
+        raise UserError(f"calibration '{path}' does not say which checkpoint it was made from.")
+    try:
+        return SwingCalibration(beta0, beta1, theta_clip), meta
+    except UserError as error:
+        raise UserError(f"calibration '{path}' is broken: {error}") from None
+
+
+def check_belongs(meta: dict[str, Any], checkpoint: Path, sha256: str) -> None:
+    """Says that a calibration was made from another policy than `checkpoint`.
+
+    Args:
+        meta: From `load_calibration`.
+        sha256: Of the checkpoint file, hexadecimal.
+
+    Raises:
+        UserError: If it was.
+    """
+    made_from = meta["checkpoint"]
+    if made_from["sha256"] != sha256:
+        raise UserError(
+            f"the calibration was made from checkpoint '{made_from['path']}' (sha256 {made_from['sha256'][:12]}), not "
+            f"from '{checkpoint}' ({sha256[:12]}); calibrate that one with `humoslope calibrate {checkpoint}`."
+        )
+
+
+def _number(path: Path, meta: dict[str, Any], name: str) -> float:
+    value = meta.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise UserError(f"calibration '{path}' is broken: {name} is {value!r}; it must be a finite number.")
+    return float(value)

@@ -1,0 +1,178 @@
+"""Hip flexion of the swing leg, gathered while a policy walks up and down ramps.
+
+It walks as in the ramp check: on planar ramps of fixed friction, without noise, pushes, harness or curriculum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict
+from torch import Tensor
+
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.errors import UserError, require_positive
+from humoslope.evaluation.common import roll
+from humoslope.evaluation.ramps import APPROACH, RampProtocol
+from humoslope.mdp.bsga import HIP_PITCH
+from humoslope.mdp.bsga_memory import SWING_FORCE, SWING_LONGEST, SWING_SETTLE, Swing
+from humoslope.mdp.selection import joint_pair
+from humoslope.statistics import Array
+
+CLEAR = 1.0
+"""Way on a ramp before samples count, m: some strides, and the whole patch that reads the slope is on the ramp."""
+SPEED_WINDOW = 1.0
+"""Time constant of the mean speed, s: about a stride, so that trials are left out and not phases of a stride."""
+
+
+@dataclass(frozen=True)
+class SwingProtocol(RampProtocol):
+    """What is walked, and which instants count as swing.
+
+    Attributes:
+        grades: Of the ramps in degrees; negative goes down. Every 2.5, so that there is one for each bin of the fit.
+        starts: Trials on each ramp.
+        seconds: Length of a trial, s; the first 4 or 5 pass before the robot is well on its ramp.
+        hip: Regular expression for the whole names of the joints that flex the hips, one on the left and one on the
+            right, turning about the left axis; as the swing reward has it.
+        swing_force: A foot that presses less on the ground swings, N.
+        swing_settle: A swing counts from this time after lift-off, s.
+        swing_longest: A swing counts no more from this time after lift-off, s.
+        speed_tolerance: Largest difference of the mean speed from the commanded one, m/s.
+    """
+
+    grades: tuple[float, ...] = tuple(2.5 * i for i in range(-12, 13))
+    starts: int = 32
+    seconds: float = 15.0
+    hip: str = HIP_PITCH
+    swing_force: float = SWING_FORCE
+    swing_settle: float = SWING_SETTLE
+    swing_longest: float = SWING_LONGEST
+    speed_tolerance: float = 0.2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive("calibration", swing_force=self.swing_force, speed_tolerance=self.speed_tolerance)
+        if not 0.0 <= self.swing_settle <= self.swing_longest:
+            raise UserError(
+                f"calibration: a swing from {self.swing_settle:g} to {self.swing_longest:g} s after lift-off "
+                "is none; swing_settle must be 0 or more, and swing_longest no less than it."
+            )
+
+
+@dataclass(frozen=True)
+class SwingSamples:
+    """K instants of a swinging leg, on the host.
+
+    Attributes:
+        slope: [K] inclination of the ground in the heading direction, rad, positive uphill.
+        flexion: [K] of that leg's hip, rad.
+        world: [K] in which world it was.
+    """
+
+    slope: Array
+    flexion: Array
+    world: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.slope)
+
+
+class SwingRecorder:
+    """Gathers samples step by step; a world that has ended is ignored from then on. Nothing waits for the device.
+
+    Args:
+        protocol: Gives the commanded speed and its tolerance.
+        num_envs: Number of worlds N.
+        dt: Control step, s.
+        device: Of the signals.
+    """
+
+    def __init__(self, protocol: SwingProtocol, num_envs: int, dt: float, device: torch.device) -> None:
+        self._protocol = protocol
+        self._keep_speed = float(np.exp(-dt / SPEED_WINDOW))
+        self._running = torch.ones(num_envs, dtype=torch.bool, device=device)
+        self._speed = torch.zeros(num_envs, device=device)  # [N] m/s; a robot at rest takes its time to count
+        self._slope: list[Tensor] = []
+        self._flexion: list[Tensor] = []
+        self._counts: list[Tensor] = []
+
+    def add(
+        self,
+        place: Tensor,
+        speed: Tensor,
+        slope: Tensor,
+        flexion: Tensor,
+        swinging: Tensor,
+        failed: Tensor,
+        ended: Tensor,
+    ) -> None:
+        """Takes the outcome of one control step.
+
+        Args:
+            place: [N] along the tile, m.
+            speed: [N] forward along the ground, m/s.
+            slope: [N] of the ground in the heading direction, rad.
+            flexion: [N, 2] of left and right hip, rad.
+            swinging: [N, 2] whether the leg swings, bool.
+            failed, ended: [N] bool.
+        """
+        protocol = self._protocol
+        self._running = self._running & ~failed & ~ended
+        self._speed = torch.lerp(speed, self._speed, self._keep_speed)
+        steady = (self._speed - protocol.speed).abs() < protocol.speed_tolerance
+        walking = self._running & steady & (place >= APPROACH + CLEAR)
+        self._slope.append(slope)
+        self._flexion.append(flexion)
+        self._counts.append(walking[:, None] & swinging)
+
+    def samples(self) -> SwingSamples:
+        """What was gathered. Waits for the device."""
+        if not self._counts:
+            return SwingSamples(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
+        counts = torch.stack(self._counts)  # [T, N, 2]
+        slope = torch.stack(self._slope)[:, :, None].expand_as(counts)
+        world = torch.arange(counts.shape[1], device=counts.device)[:, None].expand_as(counts)
+        return SwingSamples(
+            slope=slope[counts].double().cpu().numpy(),
+            flexion=torch.stack(self._flexion)[counts].double().cpu().numpy(),
+            world=world[counts].cpu().numpy(),
+        )
+
+
+def walk(
+    env: ManagerBasedRlEnv,
+    policy: Callable[[TensorDict], Tensor],
+    protocol: SwingProtocol,
+    on_step: Callable[[], None] = lambda: None,
+) -> SwingSamples:
+    """Lets the policy walk one trial in every world of an environment made by `ramp_env_cfg`.
+
+    Args:
+        on_step: Called after every control step.
+
+    Raises:
+        UserError: If the robot has no such hip joints.
+    """
+    recorder = SwingRecorder(protocol, env.num_envs, env.step_dt, env.device)
+    swing = Swing(env, protocol.swing_force, protocol.swing_settle, protocol.swing_longest)
+    hips = torch.tensor(joint_pair(env.robot, protocol.hip), device=env.device)
+    signals, start_x = env.signals, env.tiles.origin_w[:, 0]
+
+    def record(failed: Tensor, ended: Tensor) -> None:
+        recorder.add(
+            place=signals.root_pos_w[:, 0] - start_x,
+            speed=signals.root_lin_vel_t[:, 0],
+            slope=env.height_scan.descriptor.slope,
+            flexion=-signals.joint_pos.index_select(1, hips),
+            swinging=swing.step(env),
+            failed=failed,
+            ended=ended,
+        )
+
+    roll(env, policy, protocol.seconds, record, on_step)
+    return recorder.samples()

@@ -1,0 +1,160 @@
+"""A rollout as an mp4 and as a contact sheet; neither needs a display, a GPU or a graphics driver."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+from PIL import Image
+
+from humoslope.cpu import usable_cores
+from humoslope.errors import UserError
+from humoslope.files import write_atomically
+from humoslope.replay.film.frames import Frames
+from humoslope.replay.film.raytrace import Picture
+from humoslope.replay.meshes import load_meshes
+from humoslope.replay.rollout import Rollout
+
+SHEET_COLUMNS, SHEET_ROWS = 3, 2
+GAP = 6
+"""White between the pictures of a contact sheet, pixels."""
+QUALITY = ["-crf", "20", "-movflags", "+faststart"]
+"""For x264: hardly visible losses, and playing starts before all is loaded."""
+
+
+@dataclass(frozen=True)
+class VideoCfg:
+    """What is filmed.
+
+    Attributes:
+        start: First moment, s.
+        seconds: Length, s; by default to the end.
+        fps: Pictures per second.
+        width, height: Pixels; even numbers, as video codecs want them.
+        workers: Processes that draw; 0 for one on each core.
+        meshes: Draws the robot with the meshes that `humoslope meshes` has fetched.
+    """
+
+    start: float = 0.0
+    seconds: float | None = None
+    fps: float = 25.0
+    width: int = 960
+    height: int = 540
+    workers: int = 0
+    meshes: bool = False
+
+    def __post_init__(self) -> None:
+        if self.start < 0.0 or (self.seconds is not None and self.seconds <= 0.0):
+            raise UserError("video: start must be 0 or more, and seconds positive.")
+        if not 1.0 <= self.fps <= 120.0:
+            raise UserError(f"video: fps is {self.fps:g}; it must be between 1 and 120.")
+        for name in ("width", "height"):
+            if getattr(self, name) % 2 or not 64 <= getattr(self, name) <= 4096:
+                raise UserError(f"video: {name} is {getattr(self, name)}; it must be even, and between 64 and 4096.")
+        if self.workers < 0:
+            raise UserError(f"video: workers is {self.workers}; it must be 0 or more.")
+
+    def steps(self, rollout: Rollout) -> list[int]:
+        """The steps of the rollout that are drawn.
+
+        Raises:
+            UserError: If the rollout ends before the start.
+        """
+        time = rollout.columns.time
+        last = float(time[-1]) if self.seconds is None else min(float(time[-1]), self.start + self.seconds)
+        if self.start >= last:
+            raise UserError(f"video: start is {self.start:g} s, but the rollout ends at {time[-1]:g} s.")
+        moments = np.arange(self.start, last, 1.0 / self.fps)
+        return np.searchsorted(time, moments, side="left").clip(max=len(time) - 1).tolist()
+
+
+def write_video(rollout: Rollout, path: Path, cfg: VideoCfg, on_frame: Callable[[], None] = lambda: None) -> None:
+    """Writes an mp4.
+
+    Args:
+        on_frame: Called after every picture.
+
+    Raises:
+        UserError: If ffmpeg cannot be run.
+    """
+    steps = cfg.steps(rollout)
+    write_atomically(path, lambda temporary: _encode(_draw(rollout, steps, cfg), temporary, cfg, on_frame))
+
+
+def write_sheet(rollout: Rollout, path: Path, cfg: VideoCfg) -> None:
+    """Writes a PNG of pictures spread evenly over the time that is filmed."""
+    steps = cfg.steps(rollout)
+    count = SHEET_COLUMNS * SHEET_ROWS
+    # Each picture stands for an equal part of the time, and shows its middle.
+    chosen = [steps[int((i + 0.5) * len(steps) / count)] for i in range(count)]
+    sheet = contact_sheet(list(_draw(rollout, chosen, cfg)))
+    write_atomically(path, lambda temporary: Image.fromarray(sheet).save(temporary, format="PNG", optimize=True))
+
+
+def contact_sheet(pictures: Sequence[Picture]) -> Picture:
+    """`SHEET_COLUMNS` x `SHEET_ROWS` pictures of one size, row by row."""
+    height, width, _ = pictures[0].shape
+    size = (SHEET_ROWS * (height + GAP) - GAP, SHEET_COLUMNS * (width + GAP) - GAP, 3)
+    sheet = np.full(size, 255, np.uint8)
+    for i, picture in enumerate(pictures):
+        y, x = (i // SHEET_COLUMNS) * (height + GAP), (i % SHEET_COLUMNS) * (width + GAP)
+        sheet[y : y + height, x : x + width] = picture
+    return sheet
+
+
+def _encode(pictures: Iterator[Picture], path: Path, cfg: VideoCfg, on_frame: Callable[[], None]) -> None:
+    try:
+        writer = imageio_ffmpeg.write_frames(
+            str(path),
+            (cfg.width, cfg.height),
+            fps=cfg.fps,
+            codec="libx264",
+            quality=None,  # QUALITY says it
+            macro_block_size=2,
+            ffmpeg_log_level="error",
+            output_params=QUALITY,
+        )
+        writer.send(None)
+        for picture in pictures:
+            writer.send(np.ascontiguousarray(picture))
+            on_frame()
+        writer.close()
+    except (RuntimeError, OSError) as error:
+        reason = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
+        raise UserError(f"ffmpeg could not write the video ({reason}).") from None
+
+
+_frames: Frames | None = None
+"""What a drawing process draws with; made once in each."""
+
+
+def _draw(rollout: Rollout, steps: Sequence[int], cfg: VideoCfg) -> Iterator[Picture]:
+    """The pictures of these steps, in their order."""
+    workers = min(cfg.workers or usable_cores(), len(steps))
+    if workers == 1:
+        yield from map(_frames_of(rollout, cfg), steps)
+        return
+    # Spawned, not forked: a fork would copy the locks of whatever threads run here.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _prepare, (rollout, cfg)) as pool:
+        yield from pool.map(_draw_one, steps)
+
+
+def _frames_of(rollout: Rollout, cfg: VideoCfg) -> Frames:
+    meshes = load_meshes(rollout.header["robot"]["name"]) if cfg.meshes else None
+    return Frames(rollout, cfg.width, cfg.height, meshes)
+
+
+def _prepare(rollout: Rollout, cfg: VideoCfg) -> None:
+    global _frames  # noqa: PLW0603 - a process pool has no other place for what its processes keep
+    _frames = _frames_of(rollout, cfg)
+
+
+def _draw_one(step: int) -> Picture:
+    assert _frames is not None
+    return _frames(step)

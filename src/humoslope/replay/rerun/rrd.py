@@ -1,0 +1,72 @@
+"""Rollouts as a rerun recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import rerun as rr
+
+from humoslope.errors import UserError
+from humoslope.files import write_atomically
+from humoslope.replay.rerun import layout
+from humoslope.replay.rerun.plots import log_plots
+from humoslope.replay.rerun.scene import Scene
+from humoslope.replay.rollout import Rollout
+from humoslope.replay.shapes import Shape
+
+PREFIXES = ("first/", "second/")
+
+
+def write_rrd(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] | None = None) -> None:
+    """Writes one rollout, or two side by side on one timeline, as an .rrd file with its layout.
+
+    Args:
+        meshes: See `RobotShape`.
+
+    Raises:
+        UserError: If there are more than two.
+    """
+    if not 1 <= len(rollouts) <= len(PREFIXES):
+        raise UserError(f"{len(rollouts)} rollouts cannot be shown at once; give one or two.")
+    write_atomically(path, lambda temporary: _write(rollouts, temporary, meshes))
+
+
+def _write(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] | None) -> None:
+    alone, names = len(rollouts) == 1, names_of(rollouts)
+    blueprint = layout.single(names[0]) if alone else layout.comparison(names, PREFIXES)
+    # A viewer keeps one layout for each application, so that single walks and comparisons must be two.
+    recording = rr.RecordingStream("humoslope" if alone else "humoslope comparison")
+    recording.save(path, default_blueprint=blueprint)
+    recording.send_recording_name(" and ".join(names))
+    for i, rollout in enumerate(rollouts):
+        scene = Scene(recording, rollout, "" if alone else PREFIXES[i], meshes)
+        scene.log()
+        scene.log_about(describe(rollout))
+        log_plots(scene, rollout, shared="" if alone else f"{i + 1} ", pale=i > 0)
+    recording.flush()
+    recording.disconnect()
+
+
+def names_of(rollouts: Sequence[Rollout]) -> list[str]:
+    """What the viewer calls each rollout; numbered if there are several."""
+    number = "{}: " if len(rollouts) > 1 else ""
+    return [number.format(i) + title(rollout) for i, rollout in enumerate(rollouts, start=1)]
+
+
+def title(rollout: Rollout) -> str:
+    """Who walks where."""
+    terrain = rollout.header["terrain"]
+    return f"{rollout.header['label']}, {terrain['name']} {terrain['grade']:g}°"
+
+
+def describe(rollout: Rollout) -> str:
+    """Whose walk this is, as Markdown."""
+    header = rollout.header
+    checkpoint, terrain = header["checkpoint"], header["terrain"]
+    return (
+        f"**{header['label']}**, {header['task']}, iteration {checkpoint['iteration']}\n\n"
+        f"{terrain['name']} at {terrain['grade']:g}°\n\n"
+        f"{checkpoint['training']}\n\n"
+        f"checkpoint {checkpoint['sha256'][:12]}, {header['code'][:19]}, {header['recorded']}\n"
+    )

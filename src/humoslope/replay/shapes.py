@@ -1,0 +1,109 @@
+"""Triangle meshes as every viewer takes them, and the ground of a rollout as one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humoslope.replay.rollout import Rollout
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A triangle mesh.
+
+    Attributes:
+        vertices, normals: [V, 3] m; unit vectors.
+        triangles: [F, 3] indices of vertices.
+        colours: [V, 3] in 0..255.
+    """
+
+    vertices: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    colours: NDArray[np.uint8]
+
+    def moved(self, rotation: NDArray[np.floating], position: NDArray[np.floating]) -> Shape:
+        """The shape turned by `rotation` [3, 3], then shifted by `position` [3]."""
+        turn = rotation.T.astype(np.float32)
+        vertices = self.vertices @ turn + position.astype(np.float32)
+        return Shape(vertices, self.normals @ turn, self.triangles, self.colours)
+
+
+def joined(shapes: Sequence[Shape]) -> Shape:
+    """All shapes as one."""
+    first = np.cumsum([0, *(len(shape.vertices) for shape in shapes[:-1])])
+    return Shape(
+        vertices=np.concatenate([shape.vertices for shape in shapes]),
+        normals=np.concatenate([shape.normals for shape in shapes]),
+        triangles=np.concatenate([shape.triangles + i for shape, i in zip(shapes, first, strict=True)]).astype(
+            np.int32
+        ),
+        colours=np.concatenate([shape.colours for shape in shapes]),
+    )
+
+
+MOSS, PALE = (118, 132, 108), (130, 144, 119)
+"""Colours of the chequers, 1 m wide, by which one sees how fast the robot is."""
+EARTH = (96, 88, 78)
+"""Colour of the slab's sides."""
+THICKNESS = 0.5
+"""Of the slab that the ground is drawn as, m."""
+
+
+def ground_shape(rollout: Rollout) -> Shape:
+    """The robot's tile, in the world frame.
+
+    The level border around it is left out: beside a way down it would be a wall that hides the robot.
+    """
+    terrain = rollout.header["terrain"]
+    cell, (start_x, middle_y) = float(terrain["cell"]), terrain["tile_origin"][:2]
+    first = round((start_x - terrain["origin"][0]) / cell)
+    right = round((middle_y - 0.5 * terrain["tile_width"] - terrain["origin"][1]) / cell)
+    ahead, across = (round(terrain[name] / cell) + 1 for name in ("tile_length", "tile_width"))
+    heights = rollout.terrain_heights[first : first + ahead, right : right + across]
+    nx, ny = heights.shape
+    x = terrain["origin"][0] + cell * (first + np.arange(nx))
+    y = terrain["origin"][1] + cell * (right + np.arange(ny))
+    grid_x, grid_y = np.meshgrid(x, y, indexing="ij")
+    slope_x, slope_y = np.gradient(heights, cell)
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(heights)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    corner = (np.arange(nx - 1)[:, None] * ny + np.arange(ny - 1)).ravel()
+    far = corner + ny + 1
+    triangles = np.stack([corner, corner + ny, far, corner, far, corner + 1], axis=1).reshape(-1, 3)
+    top = Shape(
+        vertices=np.stack([grid_x, grid_y, heights], axis=-1).reshape(-1, 3).astype(np.float32),
+        normals=normals.reshape(-1, 3).astype(np.float32),
+        triangles=triangles.astype(np.int32),
+        # A vertex has the colour of the cell that begins there, so that cells can be drawn in one colour each.
+        colours=chequers(grid_x.ravel() + 0.5 * cell - start_x, grid_y.ravel() + 0.5 * cell - middle_y),
+    )
+    number = np.arange(nx * ny).reshape(nx, ny)
+    right_edge, left_edge = number[:, 0], number[::-1, -1]
+    front, back = number[-1, :], number[0, ::-1]
+    walls = [(right_edge, (0, -1)), (front, (1, 0)), (left_edge, (0, 1)), (back, (-1, 0))]
+    return joined([top, *(_wall(top.vertices[edge], normal) for edge, normal in walls)])
+
+
+def _wall(edge: NDArray[np.float32], normal: tuple[int, int]) -> Shape:
+    """The side of the slab below an edge [K, 3] that runs around the tile from its right to its left."""
+    below = edge - np.array((0.0, 0.0, THICKNESS), np.float32)
+    first = np.arange(len(edge) - 1)
+    under = first + len(edge)
+    triangles = np.stack([under, under + 1, first + 1, under, first + 1, first], axis=1).reshape(-1, 3)
+    return Shape(
+        vertices=np.concatenate([edge, below]),
+        normals=np.tile(np.array((*normal, 0), np.float32), (2 * len(edge), 1)),
+        triangles=triangles.astype(np.int32),
+        colours=np.tile(np.array(EARTH, np.uint8), (2 * len(edge), 1)),
+    )
+
+
+def chequers(x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Colour [..., 3] of the ground at each place."""
+    odd = (np.floor(x) + np.floor(y)).astype(np.int64) % 2
+    return np.array((MOSS, PALE), np.uint8)[odd]

@@ -1,0 +1,93 @@
+"""The ground around each robot: a yaw-aligned scan, and the plane that lies closest to it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from humoslope.errors import UserError
+from humoslope.scene.signals import Signals
+from humoslope.scene.tiles import Tiles
+from humoslope.slope.descriptor import Descriptor, terrain_descriptor
+from humoslope.strict import StrictCfg
+from humoslope.terrain.queries import TerrainQueries
+
+
+@dataclass
+class HeightScanCfg(StrictCfg):
+    """The points of ground that are scanned.
+
+    Attributes:
+        size: Points along each side of the square grid centred below the root. 7 x 7 = 49, as in the paper's H49.
+        spacing: Distance of the points, m. 0.2: one stride ahead at 0.5 m/s. Ours; the paper does not say.
+        dead_band: Slope up to which the ground counts neither as up nor as down, rad. 3 degrees. Ours.
+    """
+
+    size: int = 7
+    spacing: float = 0.2
+    dead_band: float = math.radians(3.0)
+
+
+class HeightScan:
+    """Scan and descriptor of the ground around each robot, computed when first asked for after the signals' refresh.
+
+    A point off the robot's own tile reads the ground at the nearest place of the tile, and is not valid. What lies
+    there is another tile, in general at another height: the robot's episode ends before it gets there (`off_tile`), so
+    that a cliff at the edge would tell of nothing to come.
+    """
+
+    def __init__(self, cfg: HeightScanCfg, signals: Signals, terrain: TerrainQueries, tiles: Tiles) -> None:
+        if cfg.size < 2 or not 0.0 < cfg.spacing < math.inf:
+            raise UserError("scene.height_scan: size must be at least 2, and spacing positive, in m.")
+        if not 0.0 <= cfg.dead_band < 0.5 * math.pi:
+            raise UserError(f"scene.height_scan: dead_band {cfg.dead_band:g} must be from 0 to less than pi/2, in rad.")
+        self.cfg = cfg
+        self._signals, self._terrain, self._tiles = signals, terrain, tiles
+        device = tiles.origin_w.device
+        axis = (torch.arange(cfg.size, device=device) - 0.5 * (cfg.size - 1)) * cfg.spacing
+        self._offsets = torch.cartesian_prod(axis, axis).T.contiguous()  # [2, P] m forward and left
+        corners = [[0.0, -0.5 * tiles.width], [tiles.length, 0.5 * tiles.width]]
+        self._low, self._high = torch.tensor(corners, device=device)[..., None, None]  # [2, 1, 1] m from a tile's start
+        self._scanned: Tensor | None = None  # the root's place when the scan was made, new at every refresh
+        self._described: Tensor | None = None
+
+    @property
+    def heights_w(self) -> Tensor:
+        """Height of the ground at each point, world frame, m, [N, P]: rows from right to left, the rearmost first."""
+        self._scan()
+        return self._heights_w
+
+    @property
+    def valid(self) -> Tensor:
+        """Which points lie on the robot's own tile, [N, P] bool."""
+        self._scan()
+        own_x, own_y = self._places == self._nearest
+        return own_x & own_y
+
+    @property
+    def descriptor(self) -> Descriptor:
+        """The plane that lies closest to the valid points, [N]."""
+        self._scan()
+        if self._described is not self._scanned:
+            places = self._offsets.expand(len(self._heights_w), -1, -1)
+            points = torch.cat((places, self._heights_w.unsqueeze(1)), dim=1)  # [N, 3, P]: what is summed lies together
+            self._descriptor = terrain_descriptor(points.mT, self.valid, self.cfg.dead_band)
+            self._described = self._scanned
+        return self._descriptor
+
+    def _scan(self) -> None:
+        root, heading = self._signals.root_pos_w, self._signals.heading_w[:, None]
+        if self._scanned is root:
+            return
+        cos, sin = heading.cos(), heading.sin()
+        turn = torch.cat((cos, -sin, sin, cos), dim=1)  # [N, 4] rows of x and of y
+        turn = turn.view(-1, 2, 2).transpose(0, 1).reshape(-1, 2)  # [2 N, 2] all x, then all y
+        places = torch.addmm(root[:, :2].T.reshape(-1, 1), turn, self._offsets).view(2, len(root), -1)  # [2, N, P]
+        start = self._tiles.origin_w.T[:2, :, None]  # [2, N, 1]
+        nearest = torch.minimum(torch.maximum(places, start + self._low), start + self._high)
+        self._places, self._nearest = places, nearest
+        self._heights_w = self._terrain.height(nearest.movedim(0, -1))
+        self._scanned = root

@@ -1,0 +1,30 @@
+"""Playback shares nothing with the training side but the files: it is the proof that an export is complete."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+SHARED = {"humoslope.errors", "humoslope.statistics"}
+"""What it may use of the rest: sentences for mistakes, and an interval for a share."""
+
+CODE = """
+import sys
+from humoslope.cli import main
+assert main(["play", sys.argv[1], "--headless", "--seconds", "0.2"]) == 0
+print("MODULES", *sys.modules)
+"""
+
+
+def test_playing_imports_no_manager_no_environment_and_no_torch(exported: Path) -> None:
+    command = [sys.executable, "-c", CODE, str(exported)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "No fall in 0.2 s." in done.stdout
+    modules = done.stdout.split("MODULES")[1].split()
+    packages = {name.partition(".")[0] for name in modules}
+    assert not packages & {"torch", "rsl_rl", "tensordict", "mjbatch", "mujoco_warp", "robots", "terrains", "tasks"}
+    ours = {name for name in modules if name.startswith("humoslope.")}
+    assert {name for name in ours if not name.startswith(("humoslope.deploy", "humoslope.cli"))} == SHARED
+    assert {name for name in ours if name.startswith("humoslope.cli.")} == {"humoslope.cli.play"}

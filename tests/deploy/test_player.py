@@ -1,0 +1,173 @@
+"""What walks by the contract alone walks as in the training environment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from humoslope.deploy.contract import Contract, Steering
+from humoslope.deploy.player import Course, Player, outcome, steer, walks
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.errors import UserError
+from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, summarise, walk
+from humoslope.learning.policy import Actor, load_actor
+from humoslope.registry import build_task
+
+WORLDS = 4
+
+
+@pytest.fixture(scope="module")
+def flat(stage1_checkpoint: Path) -> Callable[[float], tuple[ManagerBasedRlEnv, Actor, RampProtocol]]:
+    """flat(seconds): the ramp check on flat ground, with random starts, for trials of that length."""
+
+    def make(seconds: float) -> tuple[ManagerBasedRlEnv, Actor, RampProtocol]:
+        protocol = RampProtocol(grades=(0.0,), starts=WORLDS, seconds=seconds)
+        cfg = ramp_env_cfg(build_task("HumoSlope-Stage1-Unitree-G1").env, protocol)
+        cfg.sim.backend, cfg.sim.device = "native", "cpu"
+        env = ManagerBasedRlEnv(cfg)
+        return env, load_actor(stage1_checkpoint, env), protocol
+
+    return make
+
+
+def test_observations_and_motion_follow_the_training_environment_for_a_second(
+    flat: Any, make_player: Callable[..., Player]
+) -> None:
+    """From the same states, by the same physics, with float64 observations and ONNX against float32 and torch.
+
+    On flat ground the walk draws neighbouring states together, so that rounding does not grow: over 48 starts the
+    joints came apart by about 1e-6 rad within a second and no more than 5e-6 within ten, for two policies.
+    """
+    env, actor, _ = flat(1.0)
+    origin = torch.zeros(WORLDS, 3, dtype=torch.float64)
+    origin[:, :2] = env.tiles.origin_w[:, :2]
+    origin[:, 0] += env.tiles.spawn_x
+    qpos = env.sim.state("qpos")
+    states, observations = [], []
+    for _ in range(50):
+        obs = env.get_observations()
+        states.append(torch.cat([qpos[:, :3] - origin, qpos[:, 3:]], dim=1).numpy())
+        observations.append(obs["actor"].numpy())
+        env.step(actor(obs))
+
+    player = make_player()
+    seen: list[Any] = []
+    player.controller._observe = keep(player.controller._observe, seen)
+    for world in range(WORLDS):
+        player.start()
+        data = player.world.data
+        data.qpos[:] = states[0][world]
+        mujoco.mj_forward(player.world.model, data)
+        player.world._take_state()
+        for step in range(50):
+            np.testing.assert_allclose(data.qpos, states[step][world], atol=1e-4)
+            player.step(player.straight_on())
+            np.testing.assert_allclose(seen[-1], observations[step][world], atol=1e-4)
+
+
+class keep:
+    """An observer that also writes down what it gives."""
+
+    def __init__(self, observe: Any, seen: list[Any]) -> None:
+        self._observe, self._seen, self.reset = observe, seen, observe.reset
+
+    def __call__(self, measured: Any) -> Any:
+        self._seen.append(self._observe(measured))
+        return self._seen[-1]
+
+
+def test_success_and_speed_on_flat_ground_are_those_of_the_ramp_check(
+    flat: Any, make_player: Callable[..., Player]
+) -> None:
+    env, actor, protocol = flat(4.0)
+    (checked,) = summarise(walk(env, actor, protocol), protocol)
+    played = outcome(list(walks(make_player(seconds=4.0, trials=WORLDS))))
+    assert played.falls.low <= checked.falls.share <= played.falls.high
+    assert played.speed == pytest.approx(checked.speed, abs=0.02)
+    assert played.falls.count == checked.falls.count == 0
+
+
+def test_it_climbs_and_descends(make_player: Callable[..., Player]) -> None:
+    for grade in (20.0, -20.0):
+        (done,) = walks(make_player(grade=grade, seconds=5.0))
+        assert not done.fell
+        assert done.distance > 1.5
+
+
+def halved(contract: Contract) -> Contract:
+    joints = tuple(replace(joint, action_scale_rad=0.5 * joint.action_scale_rad) for joint in contract.joints)
+    return replace(contract, joints=joints)
+
+
+def backwards(contract: Contract) -> Contract:
+    return replace(contract, joints=contract.joints[::-1])
+
+
+def test_it_does_not_walk_by_a_contract_that_says_something_else(
+    make_player: Callable[..., Player], contract: Contract, with_terms: Callable[..., Contract]
+) -> None:
+    inverted = with_terms(gravity_direction={"scale": -1.0})
+    for wrong in (halved(contract), backwards(contract), inverted):
+        (done,) = walks(make_player(wrong, seconds=4.0))
+        assert done.fell or done.distance < 1.0
+
+
+def test_a_trial_is_the_same_alone_and_among_others(make_player: Callable[..., Player]) -> None:
+    first, second = walks(make_player(seconds=0.5, trials=2))
+    (alone,) = walks(make_player(seconds=0.5))
+    assert alone.distance == first.distance != second.distance
+    (other,) = walks(make_player(seconds=0.5, seed=1))
+    assert other.distance != alone.distance
+    assert math.isnan(alone.speed)  # nobody has settled
+    assert outcome([alone]).speed is None
+
+
+STEERING = Steering(
+    "clamp(heading_gain_per_s * wrap(-lateral_gain_rad_m * place_left_of_course - yaw), +-limit_rad_s)", 0.5, 0.3, 0.25
+)
+
+
+@pytest.mark.parametrize(
+    ("left", "yaw", "rate"),
+    [
+        (0.0, 0.0, 0.0),
+        (0.5, 0.0, -0.075),
+        (0.0, 0.2, -0.1),
+        (0.0, -0.2, 0.1),
+        (-1.0, 0.3, 0.0),
+        (10.0, 0.0, -0.25),
+        (0.0, 2.0 * math.pi + 0.2, -0.1),
+    ],
+)
+def test_steering_leads_back_to_the_course(left: float, yaw: float, rate: float) -> None:
+    assert steer(STEERING, left, yaw) == pytest.approx(rate)
+
+
+def test_a_robot_that_is_asked_to_stand_is_not_asked_to_turn(make_player: Callable[..., Player]) -> None:
+    player = make_player(speed=0.0)
+    player.world.reset(y=0.5, yaw=0.3)
+    np.testing.assert_array_equal(player.straight_on(), np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("course", "said"),
+    [
+        ({"grade": 61.0}, "--grade 61 must be between -60 and 60 degrees"),
+        ({"grade": math.nan}, "--grade nan"),
+        ({"speed": math.inf}, "--speed inf must be at most 10 m/s"),
+        ({"seconds": 0.0}, "--seconds 0 must be positive"),
+        ({"trials": 0}, "--trials 0 must be at least 1"),
+        ({"seed": -1}, "--seed -1 at least 0"),
+    ],
+)
+def test_an_impossible_course_is_refused(course: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        Course(**course)

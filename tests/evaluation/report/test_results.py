@@ -1,0 +1,123 @@
+"""Results survive their file, and files of one method are put together."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from humoslope.errors import UserError
+from humoslope.evaluation.report.results import Training, read_results, tell
+from humoslope.evaluation.track.summary import summarise
+from tests.evaluation.made_up import GOAL, GRADES, SEGMENTS, TASK, TIERS, TRIALS, outcomes, report, sweep, write
+
+
+def told(walked):
+    return tell(walked, grades=GRADES, tiers=TIERS, segments=SEGMENTS, speed=0.5, mass=33.0)
+
+
+def test_what_was_measured_is_what_is_read(tmp_path):
+    walked = outcomes(0.5)
+    (result,) = read_results([str(write(tmp_path, "a", report(0.5)))])
+    assert (result.name, result.task, result.goal) == (TASK, TASK, GOAL)
+    assert result.segments == SEGMENTS
+    assert not result.partial
+    assert [grade.grade for grade in result.grades] == list(GRADES)
+    assert [(c.grade, c.tier) for c in result.cells] == [(g, t) for g in GRADES for t in TIERS]
+    steep = walked.grade_index == 2
+    assert result.at(20.0).summary == summarise(walked, steep, 33.0, 0.5)
+    assert result.cells[4].summary == summarise(walked, (walked.grade_index == 1) & (walked.tier_index == 1), 33.0, 0.5)
+    assert result.at(20.0).summary.success.total == len(TIERS) * TRIALS
+    assert result.at(20.0).diagnosis["up"].torso_pitch == pytest.approx(0.3)
+    assert result.at(25.0) is None
+
+
+def test_cells_say_their_friction():
+    cell = told(outcomes(0.5))["cells"][-1]
+    assert (cell["grade"], cell["tier"]) == (30.0, 0.9)
+    assert cell["friction"] == pytest.approx(1.4774, abs=1e-4)
+
+
+def test_how_many_trials_came_how_far():
+    walked = outcomes(0.5)
+    grade = told(walked)["grades"][3]
+    there = walked.max_place[walked.grade_index == 3]
+    assert grade["reached"][0] == len(there)
+    assert grade["reached"][20] == (there >= 10.0).sum()
+    assert grade["reached"][63] == walked.success[walked.grade_index == 3].sum()
+    assert len(grade["reached"]) == 71
+    assert grade["reached"][64:] == [0] * 7
+
+
+def test_a_goal_reached_within_rounding_is_reached():
+    walked = outcomes(1.0)
+    walked.max_place = np.full(len(walked.success), 31.4999996)
+    assert told(walked)["grades"][0]["reached"][63] == len(TIERS) * TRIALS
+
+
+def test_conditions_without_a_trial_are_left_out():
+    walked = outcomes(0.5)
+    some = (walked.grade_index == 1) & (walked.tier_index == 2)
+    few = type(walked)(**{name: value[some] for name, value in vars(walked).items()})
+    found = told(few)
+    assert [grade["grade"] for grade in found["grades"]] == [10.0]
+    assert [(cell["grade"], cell["tier"]) for cell in found["cells"]] == [(10.0, 0.9)]
+
+
+def test_a_sweep_joins_the_trials_of_its_method_and_names_tell_methods_apart(tmp_path):
+    write(tmp_path, "a", report())
+    write(tmp_path, "b", sweep(33.0, slope_limit={"grade": 33.0, "any_success": 35.0, "beyond": True}))
+    other = write(tmp_path, "c", report(task="Other"))
+    named = write(tmp_path, "d", report(task="Other"))
+    other.rename(tmp_path / "c.txt")
+    named.rename(tmp_path / "d.txt")
+    first, second, third = read_results([str(tmp_path), f"{tmp_path / 'c.txt'}", f"Mine={tmp_path / 'd.txt'}"])
+    assert (first.name, first.limit, first.swept, first.beyond) == (TASK, 33.0, True, True)
+    assert first.at(20.0) is not None
+    assert (second.name, second.limit, second.swept) == ("Other", None, False)
+    assert (third.name, third.task) == ("Mine", "Other")
+
+
+def test_a_partial_sweep_has_found_nothing_yet(tmp_path):
+    (result,) = read_results([str(write(tmp_path, "a", sweep(None) | {"slope_limit": None}))])
+    assert (result.limit, result.swept) == (None, True)
+    assert result.grades == ()
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "left"),
+    [(None, None, None), (0.25, 0.0, 0.0), (0.25, None, 0.0), (0.0, 0.5, 0.5), (None, 0.5, 0.5)],
+)
+def test_training_counts_every_stage_and_tells_the_harness_of_the_last(tmp_path, first, second, left):
+    before = {"task": "One", "total_steps": 38, "harness": first, "ancestor": None}
+    after = {"task": "Two", "total_steps": 23, "harness": second, "ancestor": before}
+    plain = {"task": "Two", "total_steps": 5, "harness": None, "ancestor": None}
+    (result,) = read_results([str(write(tmp_path, "a", report(checkpoints=[after, plain])))])
+    assert result.training == (Training((38, 23), left), Training((5,), None))
+
+
+def test_missing_trials_make_a_result_partial(tmp_path):
+    (result,) = read_results([str(write(tmp_path, "a", report(finished=40)))])
+    assert result.partial
+
+
+def test_mistakes_are_said_in_one_sentence(tmp_path):
+    def said(*sources):
+        with pytest.raises(UserError) as error:
+            read_results([str(source) for source in sources])
+        return str(error.value)
+
+    good = write(tmp_path, "good", report())
+    assert "does not exist" in said(tmp_path / "nothing.json")
+    assert "is the second result of" in said(good, good)
+    (tmp_path / "bad.json").write_text("{")
+    assert "is no JSON file" in said(tmp_path / "bad.json")
+    for changed in ({"what": "ramps"}, {"checkpoints": []}, {"grades": [{"grade": 0.0}]}, {"cells": None}):
+        odd = write(tmp_path, "odd", report() | changed)
+        assert "is no result of `humoslope evaluate`" in said(odd)
+    (tmp_path / "list.json").write_text(json.dumps([1, 2]))
+    assert "is no result of `humoslope evaluate`" in said(tmp_path / "list.json")
+    (tmp_path / "empty").mkdir()
+    assert "there are no results in" in said(tmp_path / "empty")
+    assert "there are no results in nothing" in said()

@@ -1,0 +1,151 @@
+"""Every field of a task can be said on the command line, and presets change nothing but the scale."""
+
+from __future__ import annotations
+
+import inspect
+from functools import reduce
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from humoslope.cli.options import parse
+from humoslope.cli.overrides import merge_options, mirror_type, option_names
+from humoslope.cli.train import TrainArgs
+from humoslope.errors import UserError
+from humoslope.learning.config import AgentCfg
+from humoslope.presets import apply_preset
+from humoslope.provenance import plain
+from humoslope.registry import all_tasks, build_task
+
+SCALE = {
+    "env.num_envs",
+    "env.sim.timestep",
+    "env.sim.decimation",
+    "env.sim.cone",
+    "agent.hidden_dims",
+    "agent.num_learning_epochs",
+    "agent.mixed_precision",
+}
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Every leaf of a configuration by its path."""
+    if not isinstance(value, dict):
+        return {prefix: value}
+    return {k: v for name, child in value.items() for k, v in flat(child, f"{prefix}.{name}".strip(".")).items()}
+
+
+@pytest.mark.parametrize("preset", ["cpu", "gpu"])
+def test_a_preset_changes_the_scale_of_a_task_and_nothing_else(preset):
+    for name in all_tasks():
+        cfg = build_task(name)
+        before = flat(plain(cfg))
+        apply_preset(cfg, preset)
+        after = flat(plain(cfg))
+        assert before.keys() == after.keys()
+        assert {path for path in before if before[path] != after[path]} <= SCALE
+
+
+def test_an_unknown_preset_is_refused_with_those_there_are(task):
+    with pytest.raises(UserError, match="preset 'cpus' does not exist; did you mean 'cpu'?"):
+        apply_preset(build_task(task), "cpus")
+
+
+@pytest.mark.parametrize(
+    ("options", "path", "value"),
+    [
+        (["--env.rewards.alive.weight", "0.3"], "env.rewards.alive.weight", 0.3),
+        (["--env.rewards.alive.weight=0.3"], "env.rewards.alive.weight", 0.3),
+        (["--env.rewards.track-velocity.params.std", "0.4"], "env.rewards.track_velocity.params.std", 0.4),
+        (["--env.rewards.track_velocity.params.std", "0.4"], "env.rewards.track_velocity.params.std", 0.4),
+        (["--env.rewards.fall.weight", "-50"], "env.rewards.fall.weight", -50.0),
+        (["--env.scene.terrain.levels", "5"], "env.scene.terrain.levels", 5),
+        (["--env.scene.terrain.columns.ramp-up", "0.5"], "env.scene.terrain.columns.ramp-up", 0.5),
+        (["--env.command.speed", "0.2", "0.4"], "env.command.speed", [0.2, 0.4]),
+        (["--env.events.friction.params.friction", "0.5", "1"], "env.events.friction.params.friction", [0.5, 1.0]),
+        (["--env.curriculum.harness.params.rate", "0.01"], "env.curriculum.harness.params.rate", 0.01),
+        (["--env.sim.cone", "elliptic"], "env.sim.cone", "elliptic"),
+        (["--env.observations.actor.no-enable-corruption"], "env.observations.actor.enable_corruption", False),
+        (["--agent.hidden-dims", "64", "32"], "agent.hidden_dims", [64, 32]),
+        (["--preset", "gpu", "--env.num-envs", "16"], "env.num_envs", 16),
+    ],
+)
+def test_one_option_changes_one_field_however_deep(task, options, path, value):
+    preset = ["--preset", "cpu"] if "--preset" not in options else options[:2]
+    before = flat(plain(parse(TrainArgs(), task, preset)[0]))
+    after = flat(plain(parse(TrainArgs(), task, [*preset, *options])[0]))
+    assert after[path] == value
+    assert {key for key in after if after[key] != before.get(key)} == {path}
+
+
+def test_the_task_itself_is_not_changed_by_options(task):
+    before = plain(build_task(task))
+    parse(
+        TrainArgs(),
+        task,
+        ["--preset", "cpu", "--env.rewards.alive.weight", "7", "--env.scene.terrain.columns.flat", "1"],
+    )
+    assert plain(build_task(task)) == before
+
+
+def test_every_option_that_is_named_can_be_found_in_the_configuration(task):
+    cfg = build_task(task)
+    mirrored = mirror_type("Options", {"env": cfg.env, "agent": cfg.agent})
+    assert mirrored is not None
+    names = list(option_names(mirrored[1]))
+    assert len(names) == len(set(names)) > 100
+    known = {path.replace("_", "-") for path in flat(plain({"env": cfg.env, "agent": cfg.agent}))}
+    beyond = {name.removeprefix("--") for name in names} - known
+    assert beyond  # parameters that the task leaves to their defaults
+    for name in beyond:
+        *path, params, parameter = name.replace("-", "_").split(".")
+        assert params == "params"
+        assert parameter in inspect.signature(reduce(getattr, path, cfg).func).parameters
+
+
+words = st.sampled_from(["--a", "--b-c", "--d=1", "--e", "x", "-0.5", "2"])
+
+
+@given(first=st.lists(words), then=st.lists(words))
+def test_merged_options_hold_each_name_once_and_the_later_one_wins(first, then):
+    first, then = ["--first", *first], ["--then", *then]
+    merged = merge_options(first, then)
+    names = [word.partition("=")[0] for word in merged if word.startswith("--")]
+    assert len(names) == len(set(names))
+    assert merge_options(merged, []) == merged
+    assert merge_options(merged, then) == merged
+    assert merge_options([], then) == merged[len(merged) - len(merge_options([], then)) :]
+
+
+def test_an_option_replaces_one_of_the_same_name_however_it_is_spelt():
+    assert merge_options(["--a_b", "1", "2", "--c"], ["--a-b=3"]) == ["--c", "--a-b=3"]
+    assert merge_options(["--a", "1", "--resume", "x"], [], without=("--resume",)) == ["--a", "1"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("max_iterations", 0),
+        ("num_steps_per_env", 0),
+        ("save_interval", 0),
+        ("num_learning_epochs", 0),
+        ("num_mini_batches", 0),
+        ("hidden_dims", ()),
+        ("hidden_dims", (8, 0)),
+        ("init_std", 0.0),
+        ("learning_rate", -1e-3),
+        ("learning_rate", float("nan")),
+        ("desired_kl", 0.0),
+        ("clip_param", float("inf")),
+        ("gamma", 1.1),
+        ("lam", -0.1),
+        ("logger", "tensorbord"),
+    ],
+)
+def test_an_impossible_number_of_the_agent_is_named(field, value):
+    cfg = AgentCfg()
+    setattr(cfg, field, value)
+    with pytest.raises(UserError, match=rf"agent\.{field}"):
+        cfg.to_rsl_rl()

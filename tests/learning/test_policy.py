@@ -1,0 +1,115 @@
+"""An actor comes out of a checkpoint as it was trained, whatever its size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from humoslope.errors import UserError
+from humoslope.learning import checkpoint
+from humoslope.learning.networks import Network
+from humoslope.learning.policy import find_checkpoint, load_actor, read_provenance
+
+INPUTS, JOINTS = 12, 5
+
+
+def network(hidden: tuple[int, ...], normalized: bool) -> Network:
+    torch.manual_seed(0)
+    return Network(
+        observations(1),
+        {"actor": ["actor"]},
+        "actor",
+        JOINTS,
+        hidden_dims=hidden,
+        activation="elu",
+        obs_normalization=normalized,
+        distribution_cfg={"class_name": "GaussianDistribution", "init_std": 0.3},
+    )
+
+
+def observations(count: int, inputs: int = INPUTS) -> TensorDict:
+    return TensorDict({"actor": torch.randn(count, inputs)}, batch_size=[count])
+
+
+def environment(inputs: int = INPUTS, joints: int = JOINTS) -> Any:
+    """As much of an environment as loading a policy needs."""
+    obs = observations(3, inputs)
+    robot = SimpleNamespace(name="robot", num_joints=joints)
+    return SimpleNamespace(device=torch.device("cpu"), robot=robot, get_observations=lambda: obs)
+
+
+def save(path: Path, model: Network, **changes: Any) -> Path:
+    state = {
+        "actor_state_dict": model.state_dict(),
+        "task": "Walk",
+        "iter": 7,
+        "total_steps": 98304,
+        "env": {"curriculum": {"harness": {"scale": 0.25}}},
+    }
+    checkpoint.save(path, {**state, **changes})
+    return path
+
+
+@pytest.mark.parametrize("hidden", [(8,), (16, 8), (512, 256, 128), (256, 128, 128)])
+@pytest.mark.parametrize("normalized", [True, False])
+def test_networks_of_every_preset_act_as_they_did_in_training(
+    tmp_path: Path, hidden: tuple[int, ...], normalized: bool
+) -> None:
+    model = network(hidden, normalized)
+    model.update_normalization(observations(100))
+    path = save(tmp_path / "model_7.pt", model)
+    actor = load_actor(path, environment(), "Walk")
+    obs = observations(4)
+    torch.testing.assert_close(actor(obs), model.eval()(obs), rtol=0, atol=0)
+    torch.testing.assert_close(actor(obs), actor(obs), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("curriculum", "scale", "said"),
+    [
+        ({}, None, "no harness"),
+        ({"harness": {"scale": 0.0}}, 0.0, "which was gone at this checkpoint"),
+        ({"harness": {"scale": 0.25}}, 0.25, "still had 25 % of its strength"),
+    ],
+)
+def test_a_checkpoint_says_whether_a_harness_helped(
+    tmp_path: Path, curriculum: Any, scale: float | None, said: str
+) -> None:
+    path = save(tmp_path / "model_7.pt", network((8,), True), env={"curriculum": curriculum})
+    provenance = read_provenance(path)
+    assert provenance.harness == scale
+    assert said in provenance.training
+    assert (provenance.task, provenance.iteration, provenance.total_steps) == ("Walk", 7, 98304)
+    assert len(provenance.sha256) == 64
+
+
+def test_a_policy_that_does_not_fit_says_what_it_was_trained_with(tmp_path: Path) -> None:
+    path = save(tmp_path / "model_7.pt", network((8,), True))
+    with pytest.raises(UserError, match="trained with 12 observations, but this environment of robot has 20"):
+        load_actor(path, environment(inputs=20))
+    with pytest.raises(UserError, match="trained with 5 actions, but this environment of robot has 6"):
+        load_actor(path, environment(joints=6))
+    with pytest.raises(UserError, match="belongs to task 'Walk', not to 'Run'"):
+        load_actor(path, environment(), "Run")
+
+
+def test_an_actor_of_another_kind_is_refused(tmp_path: Path) -> None:
+    weights = network((8,), True).state_dict()
+    path = save(tmp_path / "model_7.pt", network((8,), True), actor_state_dict={"rnn.weight": torch.zeros(2)})
+    with pytest.raises(UserError, match="another kind of actor: it has no hidden layer"):
+        load_actor(path, environment())
+    path = save(tmp_path / "model_8.pt", network((8,), True), actor_state_dict=weights | {"extra": torch.zeros(1)})
+    with pytest.raises(UserError, match=r"another kind of actor: .*extra"):
+        load_actor(path, environment())
+
+
+def test_a_run_folder_stands_for_its_newest_checkpoint(tmp_path: Path) -> None:
+    for number in (2, 10):
+        save(tmp_path / f"model_{number}.pt", network((8,), True))
+    assert find_checkpoint(tmp_path) == tmp_path / "model_10.pt"
+    assert find_checkpoint(tmp_path / "model_2.pt") == tmp_path / "model_2.pt"
