@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from humoslope.env import EnvCfg, SceneCfg
-from humoslope.learning.config import AgentCfg
+from humoslope.learning.config import PpoCfg
 from humoslope.managers import (
     EventTermCfg,
     ObservationGroupCfg,
@@ -131,7 +131,7 @@ def stage1() -> TaskCfg:
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),
         ),
-        agent=AgentCfg(),
+        agent=PpoCfg(),
     )
 
 

@@ -15,7 +15,7 @@ Without BSGA rewards the CoM has the base list's fixed reference height, as in S
 from __future__ import annotations
 
 from humoslope.env import EnvCfg, SceneCfg
-from humoslope.learning.config import AgentCfg
+from humoslope.learning.config import PpoCfg
 from humoslope.managers import (
     EventTermCfg,
     ObservationGroupCfg,
@@ -86,7 +86,7 @@ def stage2() -> TaskCfg:
             events=unaided(),
             curriculum=Terms(terrain_levels=TermCfg(curricula.TerrainLevels, {"spread": 1.0})),
         ),
-        agent=AgentCfg(critic_warmup_iterations=40, entropy_coef=0.001),
+        agent=PpoCfg(critic_warmup_iterations=40, entropy_coef=0.001),
         start=WarmStartCfg(
             "HumoSlope-Stage1-Unitree-G1", shipped="experiments/checkpoints/stage1.pt", calibrated="swing_hip"
         ),

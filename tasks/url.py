@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 
 from humoslope.env import EnvCfg, SceneCfg
-from humoslope.learning.config import AgentCfg
+from humoslope.learning.config import PpoCfg
 from humoslope.managers import (
     ObservationGroupCfg,
     ObservationTermCfg,
@@ -92,7 +92,7 @@ def url_literal() -> TaskCfg:
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),
         ),
-        agent=AgentCfg(init_std=1.0, obs_normalization=False, symmetry=False, entropy_coef=0.01),
+        agent=PpoCfg(init_std=1.0, obs_normalization=False, symmetry=False, entropy_coef=0.01),
     )
 
 

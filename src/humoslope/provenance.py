@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,12 @@ def plain(value: Any) -> Any:
     if callable(value):
         return f"{value.__module__}.{value.__qualname__}"
     return str(value) if isinstance(value, Path) else value
+
+
+@lru_cache(maxsize=1)
+def commit() -> str:
+    """Commit of the code that this process runs, such as "commit 1a2b3c..."."""
+    return git_state().splitlines()[0]
 
 
 def git_state() -> str:

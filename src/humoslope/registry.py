@@ -77,6 +77,12 @@ def all_tasks() -> dict[str, str]:
     return {name: (func.__doc__ or "").strip().split("\n")[0] for name, func in sorted(_tasks.items())}
 
 
+def content_packages() -> tuple[str, ...]:
+    """The packages that hold registered tasks and what these are made of."""
+    homes = (func.__module__.partition(".")[0] for func in _tasks.values())
+    return tuple(dict.fromkeys(["tasks", "robots", "terrains", *homes]))
+
+
 def load_content() -> None:
     """Imports the content of a checkout (its `terrains` and `tasks` folders)
     and of installed packages (entry points `humoslope.tasks`)."""

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from humoslope.learning.runner import Runner
 from rich.console import Console
 
 from humoslope.cli import main
 from humoslope.env import ManagerBasedRlEnv
-from humoslope.learning.runner import Runner
 from humoslope.presets import apply_preset
 from humoslope.registry import build_task
 

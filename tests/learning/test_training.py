@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 import torch
+from humoslope.learning.runner import Runner, seed_everything
 from rich.console import Console
 
 from humoslope.cli import main
@@ -24,7 +25,6 @@ from humoslope.errors import UserError
 from humoslope.evaluation.report.curve import read_curves
 from humoslope.learning import checkpoint
 from humoslope.learning.logger import TrainingLogger
-from humoslope.learning.runner import Runner, seed_everything
 
 PATIENCE_S = 600.0
 """How long a child process may take before the test gives up on it; no result depends on it."""

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import tyro
 
-from humoslope.cli.options import saved_options
 from humoslope.cli.overrides import option_groups
 from humoslope.errors import UserError
 from humoslope.evaluation.report.compare import compare
 from humoslope.files import check_place, write_text
+from humoslope.learning.run_folder import saved_options
 
 
 @dataclasses.dataclass(frozen=True)

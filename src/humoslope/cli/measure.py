@@ -15,7 +15,9 @@ import humoslope
 from humoslope.cli.options import trained_task
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol
-from humoslope.learning.policy import Provenance, find_checkpoint, read_provenance
+from humoslope.learning import checkpoint as checkpoints
+from humoslope.learning.configuration import changes_since, trained_cfg
+from humoslope.learning.policy import Provenance, find_checkpoint, read_provenance, spec_of
 from humoslope.provenance import git_state, plain
 from humoslope.registry import TaskCfg, load_content
 
@@ -24,14 +26,22 @@ MEASURED = ("actions", "command", "observations", "terminations", "events")
 
 
 def trained(checkpoint: Path) -> tuple[Provenance, TaskCfg]:
-    """What a checkpoint, or the newest one of a run folder, says of itself, and the task as it was trained.
+    """The origin of a checkpoint, or of the newest one of a run folder, and the configuration it was trained with.
+
+    Where today's task differs in what the policy sees or moves, a sentence is printed.
 
     Raises:
         UserError: If it is no checkpoint, or of a task that is not registered.
     """
     load_content()
-    provenance = read_provenance(find_checkpoint(checkpoint))
-    return provenance, trained_task(provenance.path, provenance.task)
+    path = find_checkpoint(checkpoint)
+    provenance, state = read_provenance(path), checkpoints.load(path)
+    if state["config"] is None:
+        return provenance, trained_task(path, provenance.task)
+    cfg = trained_cfg(path, state)
+    if changed := changes_since(path, state, cfg, spec_of(state).groups):
+        print(changed)
+    return provenance, cfg
 
 
 def introduce(console: Console, env: ManagerBasedRlEnv, provenance: Provenance, protocol: RampProtocol) -> None:

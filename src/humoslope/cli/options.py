@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shlex
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -11,6 +10,7 @@ import tyro
 
 from humoslope.cli.overrides import mirror_type, option_names, write_back
 from humoslope.errors import UserError, unknown
+from humoslope.learning.run_folder import saved_options
 from humoslope.presets import Preset, apply_preset, resolve_preset
 from humoslope.registry import TaskCfg, build_task
 
@@ -26,20 +26,22 @@ class HasPreset(Protocol):
 A = TypeVar("A", bound=HasPreset)
 
 
-def parse(own: A, task: str, options: list[str], verb: str = "train") -> tuple[TaskCfg, A]:
+def parse(own: A, task: str, options: list[str], verb: str = "train", base: TaskCfg | None = None) -> tuple[TaskCfg, A]:
     """The task's configuration with preset and overrides applied, and the verb's own options.
 
     Args:
         own: The verb's options with their defaults, a dataclass.
         task: Name of the task.
         options: As typed.
+        base: A configuration to apply the options to, as it is; by default the task's own with the preset.
 
     Raises:
         UserError: If the task or an option does not exist.
     """
     preset = resolve_preset(early(own, task, options, verb).preset)
-    cfg = build_task(task)
-    apply_preset(cfg, preset)
+    cfg = base or build_task(task)
+    if base is None:
+        apply_preset(cfg, preset)
     mirrored = mirror_type("Options", {**vars(own), "env": cfg.env, "agent": cfg.agent})
     assert mirrored is not None
     kind, default = mirrored
@@ -77,14 +79,8 @@ class Scale:
     preset: Preset = "auto"
 
 
-def saved_options(run_dir: Path) -> list[str]:
-    """The options that a run was started with; none if the folder does not say."""
-    file = run_dir / "options.txt"
-    return shlex.split(file.read_text(encoding="utf-8")) if file.is_file() else []
-
-
 def trained_task(checkpoint: Path, task: str) -> TaskCfg:
-    """The configuration that a checkpoint was trained with: the task's own, with the options of the run if it lies in
-    its run folder."""
+    """The configuration behind a checkpoint of the first format, which does not hold it: the task's own, with the
+    options of the run if it lies in its run folder."""
     options = saved_options(checkpoint.parent)
     return parse(Scale(), task, options)[0] if options else build_task(task)

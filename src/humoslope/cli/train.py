@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-from datetime import datetime
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 
 import torch
 from rich.console import Console
 
-from humoslope.cli.options import early, parse, saved_options
-from humoslope.cli.overrides import merge_options
+from humoslope.cli.options import early, parse, trained_task
+from humoslope.cli.overrides import merge_options, option_groups
 from humoslope.cli.warm_start import Origin, find_origin
 from humoslope.cpu import usable_cores
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.files import check_place
 from humoslope.learning import checkpoint
-from humoslope.learning.run_folder import describe_run, find_run, tee
-from humoslope.learning.runner import Runner, seed_everything
+from humoslope.learning.configuration import departures, trained_cfg
+from humoslope.learning.distributed import choose_device, process_group, read_processes
+from humoslope.learning.policy import spec_of
+from humoslope.learning.rng import seed_everything
+from humoslope.learning.run_folder import claimed, find_run, record_start, tee
+from humoslope.learning.trainer import Trainer
 from humoslope.presets import Preset
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
+
+ONCE = ("--resume", "--run-dir", "--init", "--calibration")
+"""Options of a single start, which are not recorded as options of the run."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,65 +64,79 @@ def run(arguments: list[str]) -> None:
 
     own = early(TrainArgs(), task, options)
     resumed = find_run(task, own.resume) if own.resume else None
-    if resumed is not None:
-        origin, options = Origin(), merge_options(saved_options(resumed), options)
-    else:
+    if resumed is None:
         origin = find_origin(earlier, own.init, own.calibration)
         options = merge_options([*origin.options], options)  # what the user typed wins
-    cfg, args = parse(TrainArgs(), task, options)
-    # A resumed run keeps its scale on any machine.
-    once = ("--resume", "--run-dir", "--init", "--calibration")
-    kept = merge_options(options, ["--preset", args.preset], without=once)
-    _train(task, cfg, args, resumed, origin, kept)
+        cfg, args = parse(TrainArgs(), task, options)
+        # A resumed run keeps its scale on any machine.
+        options = merge_options(options, ["--preset", args.preset], without=ONCE)
+        _train(task, cfg, options, None, Path(args.run_dir) if args.run_dir else None, origin)
+        return
+    start = checkpoint.latest(resumed)
+    base = _resumed_cfg(start, task)
+    _require_effect(options, base)
+    cfg, _ = parse(TrainArgs(), task, options, base=base)
+    _train(task, cfg, merge_options(options, [], without=ONCE), start, resumed, Origin())
 
 
-def _train(task: str, cfg: TaskCfg, args: TrainArgs, resumed: Path | None, origin: Origin, options: list[str]) -> None:
-    rank, world_size = int(os.getenv("RANK", "0")), int(os.getenv("WORLD_SIZE", "1"))
-    if world_size > 1:
-        cfg.env.sim.device = f"cuda:{os.environ['LOCAL_RANK']}"
-    # Every process draws its own randomness.
-    cfg.env.seed += rank
-    seed_everything(cfg.env.seed)
-
+def _train(
+    task: str, cfg: TaskCfg, options: list[str], resumed: Path | None, run_dir: Path | None, origin: Origin
+) -> None:
+    processes = read_processes()
     # What can be wrong is said before anything is written, and as far as possible before anything is built.
-    cfg.agent.to_rsl_rl()
-    run_dir = resumed or Path(args.run_dir or Path("logs") / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
-    start = checkpoint.latest(resumed) if resumed else None
-    if start is not None:
-        checkpoint.load(start, task)
-    elif rank == 0:
-        _check_new(run_dir)
-    env = ManagerBasedRlEnv(cfg.env)
-    with tee(run_dir / "console.log" if rank == 0 else None) as console:
-        runner = Runner(task, env, cfg.agent, run_dir if rank == 0 else None, console)
-        if start is not None:
-            runner.resume(start)
-        elif origin.earlier is not None:
-            runner.warm_start(origin.earlier.path)
-        if rank == 0:
-            describe_run(run_dir, task, cfg, options)
-        _introduce(console, task, env, run_dir)
-        if start is not None:
-            console.print(f"Resumed from {start}.")
-        if (earlier := origin.earlier) is not None:
-            console.print(
-                f"Starts from the actor of {earlier.path}: {earlier.task}, iteration {earlier.iteration}, "
-                f"{earlier.total_steps / 1e6:.2f} M steps. {earlier.training} {origin.calibration}",
-                soft_wrap=True,
-                highlight=False,
-            )
-        runner.train()
+    cfg.agent.check()
+    device = choose_device(cfg.env.sim.device, processes)
+    # Every process draws its own randomness, on a device of its own; the checkpoint keeps what was asked for.
+    own = dataclasses.replace(
+        cfg.env, seed=cfg.env.seed + processes.rank, sim=dataclasses.replace(cfg.env.sim, device=device)
+    )
+    seed_everything(own.seed)
+    with ExitStack() as stack:
+        claim = claimed(run_dir, task, new=resumed is None) if processes.is_first else nullcontext()
+        run_dir = stack.enter_context(claim)
+        env = ManagerBasedRlEnv(own)
+        stack.enter_context(process_group(processes, str(env.device)))
+        console = stack.enter_context(tee(None if run_dir is None else run_dir / "console.log"))
+        trainer = Trainer(task, cfg, env, run_dir, console, processes)
+        if resumed is not None:
+            trainer.resume(resumed)
+        elif origin.parent is not None:
+            trainer.warm_start(origin.parent.path)
+        if run_dir is not None:
+            source = origin.parent.path if origin.parent is not None else resumed
+            record_start(run_dir, task, cfg, options, trainer.iteration, trainer.total_steps, source)
+            _introduce(console, task, env, run_dir)
+            _introduce_origin(console, cfg, resumed, origin)
+        trainer.train()
 
 
-def _check_new(run_dir: Path) -> None:
-    """Raises UserError unless a new run can be put there."""
-    if any(run_dir.glob("model_*.pt")):
-        raise UserError(
-            f"run folder '{run_dir}' holds a run already; resume it with --resume {run_dir}, or choose another."
-        )
-    if any((run_dir / name).exists() for name in ("config.json", "console.log")):
-        raise UserError(f"run folder '{run_dir}' holds a run that left no checkpoint; remove it, or choose another.")
-    check_place(run_dir / "config.json")
+def _resumed_cfg(start: Path, task: str) -> TaskCfg:
+    """The configuration that a run goes on with: that of its checkpoint."""
+    state = checkpoint.load(start, task)
+    if state["config"] is None:
+        return trained_task(start, task)
+    return trained_cfg(start, state)
+
+
+def _require_effect(options: list[str], cfg: TaskCfg) -> None:
+    """Raises UserError if an option would change nothing in a resumed run."""
+    fields = {f"--agent.{name}".replace("_", "-"): "the value in its checkpoint" for name in cfg.agent.START_ONLY}
+    terms = {f"curriculum.{name}": term for name, term in cfg.env.curriculum.items()}
+    terms |= {f"events.{name}": term for name, term in cfg.env.events.items()}
+    for place, term in terms.items():
+        for parameter in getattr(term.func, "START_ONLY", ()):
+            option = f"--env.{place}.params.{parameter}".replace("_", "-")
+            fields[option] = "the value in its checkpoint"
+    fields |= {
+        "--env.seed": "the random numbers of its checkpoint",
+        "--preset": "its scale; change single options instead",
+        "--init": "its own networks",
+        "--calibration": "the calibration it was started with",
+        "--run-dir": "its own folder",
+    }
+    for option in option_groups(options):
+        if option in fields:
+            raise UserError(f"{option} has no effect on a resumed run, which keeps {fields[option]}.")
 
 
 def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Path) -> None:
@@ -125,7 +144,29 @@ def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Pat
     sim = env.cfg.sim
     console.print(f"[bold]{task}[/bold] on {env.device} ({device}), physics '{env.sim.backend}'")
     console.print(
-        f"{env.num_envs} worlds, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone, terrain of "
+        f"{env.num_envs} envs, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone, terrain of "
         f"{env.tiles.num_levels} levels; run folder {run_dir}"
     )
     env.describe(console)
+
+
+def _introduce_origin(console: Console, cfg: TaskCfg, resumed: Path | None, origin: Origin) -> None:
+    if resumed is not None:
+        console.print(f"Resumed from {resumed}.")
+    if (parent := origin.parent) is None:
+        return
+    console.print(
+        f"Starts from the actor of {parent.path}: {parent.task}, iteration {parent.iteration}, "
+        f"{parent.total_steps / 1e6:.2f} M steps. {parent.training} {origin.calibration}",
+        soft_wrap=True,
+        highlight=False,
+    )
+    state = checkpoint.load(parent.path)
+    if state["config"] is None:
+        return
+    if changed := departures(state, trained_cfg(parent.path, state), cfg, spec_of(state).groups):
+        console.print(
+            f"[yellow]It was trained with another {changed} than this task has.[/yellow]",
+            soft_wrap=True,
+            highlight=False,
+        )

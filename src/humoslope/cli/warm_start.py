@@ -22,12 +22,12 @@ class Origin:
     """What a new run starts from.
 
     Attributes:
-        earlier: The checkpoint whose actor it takes; None to start from nothing.
+        parent: The checkpoint whose actor it takes; None to start from nothing.
         options: Options that set the calibrated reward.
         calibration: A sentence on where their values come from.
     """
 
-    earlier: Provenance | None = None
+    parent: Provenance | None = None
     options: tuple[str, ...] = ()
     calibration: str = ""
 
@@ -61,7 +61,7 @@ def find_origin(start: WarmStartCfg | None, init: str, calibration: str) -> Orig
             f"with --calibration, or take the documented prior with --calibration {PRIOR}."
         )
     swing, measured = load_calibration(file)
-    check_belongs(measured, path, earlier.sha256)
+    check_belongs(measured, path, (earlier.sha256, *earlier.formerly))
     prefix = f"--env.rewards.{start.calibrated.replace('_', '-')}.params."
     options = [word for name, value in vars(swing).items() for word in (prefix + name.replace("_", "-"), repr(value))]
     told = ", ".join(f"{name} {value:.4g}" for name, value in vars(swing).items())

@@ -27,7 +27,8 @@ def translate(actor: Actor) -> bytes:
 
     The first dimension is fixed: Unitree's deployment takes the sizes of its buffers from the shape.
     """
-    module: Any = actor.module.as_onnx(verbose=False).cpu().eval()
+    trained: Any = actor.module
+    module = trained.as_onnx(verbose=False).cpu().eval()
     logger = logging.getLogger("torch.onnx._internal.exporter._registration")
     level = logger.level
     logger.setLevel(logging.ERROR)  # it warns of operators of a package that is not needed here

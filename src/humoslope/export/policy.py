@@ -176,7 +176,7 @@ def _training(provenance: Provenance) -> contracts.Training:
         iteration=provenance.iteration,
         environment_steps=provenance.total_steps,
         harness=provenance.harness,
-        started_from=None if provenance.ancestor is None else _training(provenance.ancestor),
+        started_from=None if provenance.parent is None else _training(provenance.parent),
     )
 
 

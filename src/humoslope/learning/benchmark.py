@@ -18,7 +18,8 @@ from torch import Tensor
 
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.learning.policy import load_actor
-from humoslope.learning.runner import Runner, seed_everything
+from humoslope.learning.rng import seed_everything
+from humoslope.learning.trainer import Trainer
 from humoslope.registry import TaskCfg
 from humoslope.slope.descriptor import phi5
 
@@ -80,31 +81,32 @@ def measure(task: str, cfg: TaskCfg, rounds: int, checkpoint: Path | None = None
     """
     seed_everything(cfg.env.seed)
     env = ManagerBasedRlEnv(cfg.env)
-    runner = _TimedRunner(task, env, cfg.agent, None, Console(quiet=True))
-    act = _driver(checkpoint, env, runner)
+    trainer = Trainer(task, cfg, env, None, Console(quiet=True))
+    act = _driver(checkpoint, env, trainer)
 
-    runner.learn(1, init_at_random_ep_len=True)
+    trainer.start_episodes()
+    trainer.iterate()
     peak = _peak_mib()
     with torch.inference_mode():  # as in a rollout
         _env_block(env, act)
-    runner.times.clear()
-    blocks = []
+    blocks, times = [], []
     for _ in range(rounds):
         with torch.inference_mode():
             env_s, frames = _env_block(env, act)
             descriptor_s = _descriptor_block(env)
             blocks.append((_raw_block(env, frames), env_s, descriptor_s))
-        runner.learn(1)
+        values = trainer.iterate()
+        times.append((values["Perf/collection_time"], values["Perf/learning_time"]))
     with torch.inference_mode():
         parts = _parts(env, act)
-    collection, learning = zip(*runner.times, strict=True)
+    collection, learning = zip(*times, strict=True)
     worlds = cfg.env.num_envs
     rollout = worlds * cfg.agent.num_steps_per_env
     return Measurement(
         worlds=worlds,
         raw=[worlds * BLOCK / raw_s for raw_s, _, _ in blocks],
         env=[worlds * BLOCK / env_s for _, env_s, _ in blocks],
-        ppo=[rollout / (c + u) for c, u in runner.times],
+        ppo=[rollout / (c + u) for c, u in times],
         descriptor_s=[descriptor_s / BLOCK for _, _, descriptor_s in blocks],
         collection_s=list(collection),
         learning_s=list(learning),
@@ -113,21 +115,10 @@ def measure(task: str, cfg: TaskCfg, rounds: int, checkpoint: Path | None = None
     )
 
 
-class _TimedRunner(Runner):
-    """Keeps how long collection and learning of each iteration took."""
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.times: list[tuple[float, float]] = []
-
-    def _after_iteration(self, values: dict[str, float]) -> None:
-        self.times.append((values["Perf/collection_time"], values["Perf/learning_time"]))
-
-
-def _driver(path: Path | None, env: ManagerBasedRlEnv, runner: Runner) -> Callable[[TensorDict], Tensor]:
+def _driver(path: Path | None, env: ManagerBasedRlEnv, trainer: Trainer) -> Callable[[TensorDict], Tensor]:
     if path is None:
         return lambda _: RANDOM_STD * torch.randn(env.num_envs, env.robot.num_joints, device=env.device)
-    runner.warm_start(path)
+    trainer.warm_start(path)
     return load_actor(path, env)
 
 

@@ -1,56 +1,115 @@
-"""Checkpoints: one file from which a run continues, or a policy is evaluated."""
+"""Checkpoints: one file from which a run continues, or a policy is evaluated, wherever the file lies.
+
+A checkpoint is a dictionary of tensors and plain types, written by `torch.save`:
+
+| key | content |
+|---|---|
+| `format` | `FORMAT` |
+| `task`, `code` | name of the task, commit of the code |
+| `iteration`, `total_steps`, `total_time` | training iterations before this one, environment steps, s |
+| `config` | the resolved configuration, packed (see `packing`) |
+| `policy` | `spec` (which network it is) and `weights` |
+| `learner` | what the learner needs to go on: critics, optimisers |
+| `env` | curricula and terrain levels |
+| `rng` | states of all random generators |
+| `parent` | the checkpoint that its run started from, or None |
+| `formerly` | SHA-256 of the files it was converted from |
+
+The file ends in the SHA-256 of everything before it, as the comment of the zip archive that `torch.save` writes.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import pickle
-import random
 import re
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from humoslope.errors import UserError
 from humoslope.files import write_atomically
+from humoslope.learning import format_1
 
-FORMAT = 1
-"""Raised when a checkpoint of an older format can no longer be read."""
+FORMAT = 2
+"""Raised when the layout changes; older layouts are read as long as there is a reader for them."""
+
+MARK = b"humoslope sha256 "
+END_OF_ARCHIVE = b"PK\x05\x06"
+END_SIZE = 22
+"""Length of a zip archive's last record without its comment, bytes; the last two hold the comment's length."""
 
 
-def save(path: Path, state: dict[str, Any]) -> None:
-    """Writes `state` with the format version and the states of all random generators, in one step."""
-    whole = state | {"format": FORMAT, "rng": rng_state()}
-    write_atomically(path, lambda temporary: torch.save(whole, temporary))
+def save(path: Path, state: Mapping[str, Any]) -> None:
+    """Writes `state` with format version and checksum in one step.
+
+    Raises:
+        UserError: If a weight is not finite; nothing is written then.
+    """
+    require_finite(state, f"checkpoint '{path}' is not written")
+    buffer = io.BytesIO()
+    torch.save({"format": FORMAT, **state}, buffer)
+    content = sealed(buffer.getvalue())
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))
 
 
 def load(path: Path, task: str | None = None, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Reads a checkpoint; nothing in it is executed.
+    """Reads a checkpoint of this format or an older one; nothing in it is executed.
 
     Args:
         task: The task it must belong to; None for any.
 
     Raises:
-        UserError: If the file is missing, broken, no checkpoint, of another format or of another task.
+        UserError: If the file is missing, damaged, no checkpoint, of an unknown format or another task, or holds a
+            weight that is not finite.
     """
     if not path.is_file():
         raise UserError(f"checkpoint '{path}' does not exist.")
+    content = path.read_bytes()
     try:
-        state = torch.load(path, map_location=device, weights_only=True)
+        state = torch.load(io.BytesIO(content), map_location=device, weights_only=True)
     except (RuntimeError, EOFError, OSError, ValueError, KeyError, pickle.UnpicklingError, zipfile.BadZipFile):
-        raise UserError(
-            f"checkpoint '{path}' is broken or truncated, or no checkpoint at all; "
-            "a run resumes from the one before it once it is removed."
-        ) from None
-    if not isinstance(state, dict) or "format" not in state or "actor_state_dict" not in state:
+        raise _broken(path) from None
+    if not isinstance(state, dict) or "format" not in state or "task" not in state:
         raise UserError(f"'{path}' is not a HumoSlope checkpoint.")
-    if state["format"] != FORMAT:
-        raise UserError(f"checkpoint '{path}' has format {state['format']}; this version reads format {FORMAT}.")
+    if state["format"] == format_1.FORMAT:
+        state = format_1.upgrade(path, state)
+    elif state["format"] != FORMAT:
+        raise UserError(
+            f"checkpoint '{path}' has format {state['format']}; this version reads format {FORMAT} and older ones."
+        )
+    elif not is_sealed(content):
+        raise _broken(path)
     if task is not None and state["task"] != task:
         raise UserError(f"checkpoint '{path}' belongs to task '{state['task']}', not to '{task}'.")
+    require_finite(state, f"checkpoint '{path}' cannot be used")
     return state
+
+
+def sealed(archive: bytes) -> bytes:
+    """A zip archive without comment, with the SHA-256 of its bytes as comment."""
+    assert archive[-END_SIZE : -END_SIZE + 4] == END_OF_ARCHIVE
+    length = len(MARK) + 64
+    body = archive[:-2] + length.to_bytes(2, "little") + MARK
+    return body + hashlib.sha256(body).hexdigest().encode()
+
+
+def is_sealed(content: bytes) -> bool:
+    """Whether the SHA-256 at the end of a file is that of the bytes before it."""
+    body, digest_ = content[:-64], content[-64:]
+    return body.endswith(MARK) and hashlib.sha256(body).hexdigest().encode() == digest_
+
+
+def require_finite(state: Mapping[str, Any], refusal: str) -> None:
+    """Raises a `UserError` that begins with `refusal` if a tensor of the policy or the learner is not finite."""
+    for part in ("policy", "learner"):
+        for name, tensor in _tensors(state.get(part), part):
+            if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+                raise UserError(f"{refusal}: {name} holds values that are not finite.")
 
 
 def digest(path: Path) -> str:
@@ -73,26 +132,18 @@ def latest(run_dir: Path) -> Path:
     return found[max(found)]
 
 
-def rng_state() -> dict[str, Any]:
-    """The states of Python's, NumPy's and torch's random generators, in types that load without executing anything."""
-    numpy_state: Any = np.random.get_state(legacy=True)  # noqa: NPY002 - libraries draw from the global generator
-    _, keys, position, has_gauss, cached = numpy_state
-    version, internal, gauss = random.getstate()
-    return {
-        "python": [version, list(internal), gauss],
-        "numpy": [torch.from_numpy(keys.astype(np.int64)), int(position), int(has_gauss), float(cached)],
-        "torch": torch.get_rng_state(),
-        "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
-    }
+def _tensors(value: Any, name: str) -> list[tuple[str, torch.Tensor]]:
+    if isinstance(value, torch.Tensor):
+        return [(name, value)]
+    if isinstance(value, Mapping):
+        return [pair for key, child in value.items() for pair in _tensors(child, f"{name}.{key}")]
+    if isinstance(value, list | tuple):
+        return [pair for i, child in enumerate(value) for pair in _tensors(child, f"{name}.{i}")]
+    return []
 
 
-def restore_rng(state: dict[str, Any]) -> None:
-    """Continues the random sequences from `rng_state`."""
-    version, internal, gauss = state["python"]
-    random.setstate((version, tuple(internal), gauss))
-    keys, position, has_gauss, cached = state["numpy"]
-    numpy_state = ("MT19937", keys.cpu().numpy().astype(np.uint32), position, has_gauss, cached)
-    np.random.set_state(numpy_state)  # noqa: NPY002
-    torch.set_rng_state(state["torch"].cpu())
-    if torch.cuda.is_available() and len(state["cuda"]) == torch.cuda.device_count():
-        torch.cuda.set_rng_state_all([s.cpu() for s in state["cuda"]])
+def _broken(path: Path) -> UserError:
+    return UserError(
+        f"checkpoint '{path}' is damaged or truncated, or no checkpoint at all; "
+        "a run resumes from the one before it once it is removed."
+    )

@@ -1,38 +1,98 @@
-"""A trained actor out of a checkpoint, without a training run around it."""
+"""A trained policy out of a checkpoint, without a training run around it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import ManagerBasedRlEnv
-from humoslope.errors import UserError
+from humoslope.errors import UserError, unknown
 from humoslope.learning import checkpoint
-from humoslope.learning.config import AgentCfg
-from humoslope.learning.networks import Network
+from humoslope.learning.networks import find_network
 
 GROUP = "actor"
-"""The observation group that actors read."""
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """A description from which the network of a policy is rebuilt.
+
+    Attributes:
+        network: Name that the network is registered under, such as "mlp".
+        groups: Observation groups that it reads, in its order.
+        shapes: Shape of one env's observation in each of these groups.
+        num_actions: Size of an action.
+        settings: Further arguments of the network.
+    """
+
+    network: str
+    groups: tuple[str, ...]
+    shapes: tuple[tuple[int, ...], ...]
+    num_actions: int
+    settings: Mapping[str, Any]
+
+    @classmethod
+    def of(
+        cls, env: ManagerBasedRlEnv, network: str, groups: tuple[str, ...], settings: Mapping[str, Any]
+    ) -> PolicySpec:
+        """The specification of a network for the observations and joints of an environment.
+
+        Raises:
+            UserError: If the environment has no such group.
+        """
+        return cls(network, groups, shapes_of(env, groups), env.robot.num_joints, settings)
+
+    def build(self, device: torch.device | str) -> torch.nn.Module:
+        """The network with fresh weights.
+
+        Raises:
+            UserError: If no such network is registered, or the settings do not fit it.
+        """
+        make = find_network(self.network)
+        try:
+            return make(self.example(), self.groups, self.num_actions, **self.settings).to(device)
+        except (TypeError, ValueError) as error:
+            raise UserError(
+                f"network '{self.network}' cannot be built for groups of {self._sizes()}: {error}"
+            ) from None
+
+    def example(self) -> TensorDict:
+        """Observations of one env, all zero."""
+        groups = {name: torch.zeros(1, *shape) for name, shape in zip(self.groups, self.shapes, strict=True)}
+        return TensorDict(groups, batch_size=[1])
+
+    def check_fits(self, env: ManagerBasedRlEnv, path: Path) -> None:
+        """Raises UserError if the environment has other observations or actions than the policy was trained with."""
+        given = shapes_of(env, self.groups)
+        for group, trained, now in zip(self.groups, self.shapes, given, strict=True):
+            if trained != now:
+                raise _misfit(path, f"{_size(trained)} observations", _size(now), env, group)
+        if self.num_actions != env.robot.num_joints:
+            raise _misfit(path, f"{self.num_actions} actions", str(env.robot.num_joints), env)
+
+    def _sizes(self) -> str:
+        return ", ".join(f"{name} {_size(shape)}" for name, shape in zip(self.groups, self.shapes, strict=True))
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a checkpoint says of itself.
+    """The origin of a checkpoint, as the file itself records it.
 
     Attributes:
         path: The file.
-        sha256: Of the file, hexadecimal.
-        task: What was trained.
-        iteration: Training iterations done before this one.
-        total_steps: Environment steps seen.
+        sha256: SHA-256 of the file, hexadecimal.
+        task: Name of the trained task.
+        iteration: Number of training iterations before this one.
+        total_steps: Number of environment steps seen.
         harness: Scale in [0, 1] that the training harness had come down to; None if the run had no harness.
-        ancestor: What its training started from; None if it started from nothing.
+        parent: The checkpoint that its training started from; None if it started from nothing.
+        formerly: SHA-256 of the files it was converted from, under which older results and calibrations know it.
     """
 
     path: Path
@@ -41,20 +101,21 @@ class Provenance:
     iteration: int
     total_steps: int
     harness: float | None
-    ancestor: Provenance | None = None
+    parent: Provenance | None = None
+    formerly: tuple[str, ...] = ()
 
     @property
     def training(self) -> str:
-        """What the training was helped by, in a sentence for each stage."""
+        """The assistance that its training had, in a sentence for each stage."""
         if self.harness is None:
             said = "Its training used no harness."
         else:
             left = "was gone" if self.harness == 0.0 else f"still had {100.0 * self.harness:.3g} % of its strength"
             said = f"Its training used the harness, which {left} at this checkpoint."
-        if self.ancestor is None:
+        if self.parent is None:
             return said
-        steps = f"{self.ancestor.total_steps / 1e6:.2f} M steps"
-        return f"{said} It started from {self.ancestor.task} after {steps}: {self.ancestor.training}"
+        steps = f"{self.parent.total_steps / 1e6:.2f} M steps"
+        return f"{said} It started from {self.parent.task} after {steps}: {self.parent.training}"
 
 
 class Actor:
@@ -62,18 +123,33 @@ class Actor:
 
     Attributes:
         module: The network with its normaliser.
-        provenance: Where it comes from.
+        spec: Its description.
+        provenance: The checkpoint that it comes from.
     """
 
-    def __init__(self, module: MLPModel, provenance: Provenance) -> None:
+    def __init__(self, module: torch.nn.Module, spec: PolicySpec, provenance: Provenance) -> None:
         self.module = module
+        self.spec = spec
         self.provenance = provenance
 
     @torch.inference_mode()
     def __call__(self, obs: TensorDict) -> Tensor:
-        """Actions [N, J] for the observations of all worlds."""
+        """Actions [N, J] for the observations of all envs."""
         action: Tensor = self.module(obs)
         return action
+
+
+def shapes_of(env: ManagerBasedRlEnv, groups: tuple[str, ...]) -> tuple[tuple[int, ...], ...]:
+    """Shape of one env's observation in each of `groups`.
+
+    Raises:
+        UserError: If the environment lacks a group.
+    """
+    obs = env.get_observations()
+    for group in groups:
+        if group not in obs:
+            raise unknown("observation group", group, map(str, obs.keys()))
+    return tuple(tuple(obs[group].shape[1:]) for group in groups)
 
 
 def find_checkpoint(path: Path) -> Path:
@@ -86,7 +162,7 @@ def find_checkpoint(path: Path) -> Path:
 
 
 def read_provenance(path: Path, task: str | None = None) -> Provenance:
-    """What a checkpoint says of itself.
+    """The origin of a checkpoint.
 
     Args:
         task: The task it must belong to; None for any.
@@ -94,11 +170,25 @@ def read_provenance(path: Path, task: str | None = None) -> Provenance:
     Raises:
         UserError: If it is no checkpoint, or of another task.
     """
-    return _provenance(path, checkpoint.load(path, task))
+    return _of_file(path, checkpoint.load(path, task))
+
+
+def read_spec(path: Path) -> PolicySpec:
+    """The description of the network in a checkpoint.
+
+    Raises:
+        UserError: If it is no checkpoint.
+    """
+    return spec_of(checkpoint.load(path))
+
+
+def spec_of(state: Mapping[str, Any]) -> PolicySpec:
+    """The description of the network in a checkpoint that was loaded."""
+    return PolicySpec(**state["policy"]["spec"])
 
 
 def load_actor(path: Path, env: ManagerBasedRlEnv, task: str | None = None) -> Actor:
-    """The actor of a checkpoint, for the observations and joints of `env`. Its layers are as wide as they were trained.
+    """The policy of a checkpoint, for the observations and joints of `env`.
 
     Args:
         task: The task it must belong to; None for any.
@@ -107,65 +197,68 @@ def load_actor(path: Path, env: ManagerBasedRlEnv, task: str | None = None) -> A
         UserError: If it is no checkpoint, of another task, or does not fit the environment.
     """
     state = checkpoint.load(path, task, env.device)
-    weights = state["actor_state_dict"]
-    layers = _layers(path, weights)
-    obs = env.get_observations()
-    _check_size(path, "observations", layers[0].shape[1], obs[GROUP].shape[1], env)
-    _check_size(path, "actions", layers[-1].shape[0], env.robot.num_joints, env)
-    # What cannot be read off the weights (activation, distribution) is the same for every agent.
-    cfg = AgentCfg(
-        hidden_dims=hidden_dims(path, weights),
-        obs_normalization=any(name.startswith("obs_normalizer.") for name in weights),
-    ).to_rsl_rl()
-    network = {name: value for name, value in cfg["actor"].items() if name != "class_name"}
-    model = Network(obs, {GROUP: [GROUP]}, GROUP, env.robot.num_joints, **network).to(env.device)
-    try:
-        model.load_state_dict(weights)
-    except RuntimeError as error:
-        detail = str(error).strip().splitlines()[-1].strip()
-        raise UserError(f"checkpoint '{path}' holds another kind of actor: {detail}") from None
-    return Actor(model.eval(), _provenance(path, state))
+    spec = spec_of(state)
+    spec.check_fits(env, path)
+    module = spec.build(env.device)
+    load_weights(module, state, path)
+    return Actor(module.eval(), spec, _of_file(path, state))
 
 
-def hidden_dims(path: Path, weights: dict[str, Tensor]) -> tuple[int, ...]:
-    """Widths of the hidden layers of an actor's `weights`.
+def load_weights(module: torch.nn.Module, state: Mapping[str, Any], path: Path) -> None:
+    """Puts the policy of a loaded checkpoint into a network.
 
     Raises:
-        UserError: If it has none.
+        UserError: If they are of another network.
     """
-    return tuple(layer.shape[0] for layer in _layers(path, weights)[:-1])
+    try:
+        module.load_state_dict(state["policy"]["weights"])
+    except RuntimeError as error:
+        detail = str(error).strip().splitlines()[-1].strip()
+        raise UserError(f"checkpoint '{path}' does not hold the network that it describes: {detail}") from None
 
 
-def _layers(path: Path, weights: dict[str, Tensor]) -> list[Tensor]:
-    """The weights [out, in] of the network's linear layers, from the first to the last."""
-    numbers = sorted(
-        int(name.split(".")[1]) for name in weights if name.startswith("mlp.") and name.endswith(".weight")
+def parent_record(path: Path, state: Mapping[str, Any]) -> dict[str, Any]:
+    """What a checkpoint keeps of the one that its run started from."""
+    return {
+        "path": str(path),
+        "sha256": checkpoint.digest(path),
+        **{name: state[name] for name in ("task", "iteration", "total_steps", "parent", "formerly")},
+        "curriculum": state["env"]["curriculum"],
+    }
+
+
+def spec_state(spec: PolicySpec) -> dict[str, Any]:
+    """The specification as a checkpoint holds it."""
+    return asdict(spec)
+
+
+def _of_file(path: Path, state: Mapping[str, Any]) -> Provenance:
+    return _provenance(
+        {**state, "path": path, "sha256": checkpoint.digest(path), "curriculum": state["env"]["curriculum"]}
     )
-    if len(numbers) < 2:
-        raise UserError(f"checkpoint '{path}' holds another kind of actor: it has no hidden layer.")
-    return [weights[f"mlp.{number}.weight"] for number in numbers]
 
 
-def _check_size(path: Path, what: str, trained: int, given: int, env: ManagerBasedRlEnv) -> None:
-    if trained != given:
-        raise UserError(
-            f"checkpoint '{path}' was trained with {trained} {what}, but this environment of {env.robot.name} has "
-            f"{given}; evaluate it with the code and the task it was trained with."
-        )
-
-
-def _provenance(path: Path, state: dict[str, Any]) -> Provenance:
-    return _told(state | {"path": path, "sha256": checkpoint.digest(path), "curriculum": state["env"]["curriculum"]})
-
-
-def _told(said: dict[str, Any]) -> Provenance:
-    harness, ancestor = said["curriculum"].get("harness"), said.get("ancestor")
+def _provenance(record: Mapping[str, Any]) -> Provenance:
+    harness, parent = record["curriculum"].get("harness"), record["parent"]
     return Provenance(
-        path=Path(said["path"]),
-        sha256=said["sha256"],
-        task=said["task"],
-        iteration=said["iter"],
-        total_steps=said["total_steps"],
+        path=Path(record["path"]),
+        sha256=record["sha256"],
+        task=record["task"],
+        iteration=record["iteration"],
+        total_steps=record["total_steps"],
         harness=None if harness is None else float(harness["scale"]),
-        ancestor=None if ancestor is None else _told(ancestor),
+        parent=None if parent is None else _provenance(parent),
+        formerly=tuple(record["formerly"]),
+    )
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))
+
+
+def _misfit(path: Path, trained: str, now: str, env: ManagerBasedRlEnv, group: str = "") -> UserError:
+    where = f" in group '{group}'" if group else ""
+    return UserError(
+        f"checkpoint '{path}' was trained with {trained}{where}, but this environment of {env.robot.name} has {now}; "
+        "evaluate it with the code and the task it was trained with."
     )

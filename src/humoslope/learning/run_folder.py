@@ -1,32 +1,126 @@
-"""The folder of a training run: what was run, with which code, and everything it printed."""
+"""The folder of a training run: claimed by one process, with a record of every start and everything it printed.
+
+model_100.pt ...        checkpoints
+events.out.tfevents...  curves
+console.log             everything that was printed
+starts/1/, starts/2/    for each start, options.txt, config.json, git.txt and start.json (what it began with)
+"""
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, cast
+from typing import IO, TYPE_CHECKING, Any, cast
 
 from rich.console import Console
 
 import humoslope
 from humoslope.errors import UserError
-from humoslope.files import write_text
+from humoslope.files import check_place, write_text
 from humoslope.provenance import git_state, plain
 
 if TYPE_CHECKING:
     from humoslope.registry import TaskCfg
 
 
-def describe_run(run_dir: Path, task: str, cfg: TaskCfg, options: list[str]) -> None:
-    """Writes the resolved configuration, the options and the state of the code."""
-    resolved = {"task": task, "version": humoslope.__version__, "env": plain(cfg.env), "agent": plain(cfg.agent)}
-    write_text(run_dir / "config.json", json.dumps(resolved, indent=2))
-    write_text(run_dir / "options.txt", shlex.join(options))
-    write_text(run_dir / "git.txt", git_state())
+@contextmanager
+def claimed(run_dir: Path | None, task: str, new: bool) -> Iterator[Path]:
+    """Keeps a run folder for this process while inside, so that no second training writes into it.
+
+    The lock is the operating system's, on the folder itself, and ends with the process, however that ends. Folders that
+    were made here, and into which nothing was written, are removed again.
+
+    Args:
+        run_dir: The folder; None for a new one under logs/, named by the present second.
+        new: Whether the folder must not hold a run yet.
+
+    Raises:
+        UserError: If another training has it, or a new run would write over an old one.
+    """
+    run_dir, made = _made(run_dir, task)
+    handle = os.open(run_dir, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise UserError(f"run folder '{run_dir}' is in use by another training; choose another.") from None
+        if new:
+            _require_no_run(run_dir)
+        yield run_dir
+    finally:
+        os.close(handle)
+        for path in made:
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()
+
+
+def _made(run_dir: Path | None, task: str) -> tuple[Path, list[Path]]:
+    """The run folder, and the folders that were made for it, innermost first."""
+    base = Path("logs") / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    names = [run_dir] if run_dir is not None else [base, *(base.with_name(f"{base.name}_{n}") for n in range(2, 1000))]
+    for path in names:
+        check_place(path / "config.json")
+        missing = [parent for parent in (path, *path.parents) if not parent.exists()]
+        try:
+            path.mkdir(parents=True, exist_ok=run_dir is not None)
+        except FileExistsError:
+            continue  # a run that began in the same second has it
+        return path, missing
+    raise UserError(f"there is no free name for a run folder at '{base}'.")
+
+
+def record_start(
+    run_dir: Path, task: str, cfg: TaskCfg, options: list[str], iteration: int, total_steps: int, origin: Path | None
+) -> None:
+    """Writes a record of this start: resolved configuration, options as typed, state of the code.
+
+    Args:
+        iteration, total_steps: What is done already.
+        origin: The checkpoint that is resumed from or started from.
+    """
+    folder = run_dir / "starts" / str(len(starts(run_dir)) + 1)
+    about = {
+        "task": task,
+        "version": humoslope.__version__,
+        "time": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "iteration": iteration,
+        "total_steps": total_steps,
+        "from": None if origin is None else str(origin),
+    }
+    resolved = {"task": task, "env": plain(cfg.env), "agent": plain(cfg.agent)}
+    write_text(folder / "config.json", json.dumps(resolved, indent=2))
+    write_text(folder / "options.txt", shlex.join(options))
+    write_text(folder / "git.txt", git_state())
+    write_text(folder / "start.json", json.dumps(about, indent=2))
+
+
+def starts(run_dir: Path) -> list[Path]:
+    """The records of a run's starts, oldest first."""
+    found = [path for path in (run_dir / "starts").glob("*") if path.name.isdigit()]
+    return sorted(found, key=lambda path: int(path.name))
+
+
+def saved_options(run_dir: Path, total_steps: float = float("inf")) -> list[str]:
+    """The options that held in a run when it had seen `total_steps` environment steps; none if the folder does not say.
+
+    Options accumulate: a resumed run keeps those of its earlier starts unless they were given anew.
+    """
+    options: list[str] = []
+    old = run_dir / "options.txt"  # runs of earlier versions kept the last start alone
+    if old.is_file():
+        options += shlex.split(old.read_text(encoding="utf-8"))
+    for folder in starts(run_dir):
+        about = _read(folder / "start.json")
+        if about is not None and about["total_steps"] < total_steps:
+            options += shlex.split((folder / "options.txt").read_text(encoding="utf-8"))
+    return options
 
 
 def find_run(task: str, which: str) -> Path:
@@ -86,3 +180,21 @@ def tee(path: Path | None) -> Iterator[Console]:
         yield Console(file=cast("IO[str]", both), width=None if sys.stdout.isatty() else 140)
     finally:
         both.close()
+
+
+def _require_no_run(run_dir: Path) -> None:
+    """Raises UserError unless a new run can be put there."""
+    if any(run_dir.glob("model_*.pt")):
+        raise UserError(
+            f"run folder '{run_dir}' holds a run already; resume it with --resume {run_dir}, or choose another."
+        )
+    if any((run_dir / name).exists() for name in ("config.json", "console.log", "starts")):
+        raise UserError(f"run folder '{run_dir}' holds a run that left no checkpoint; remove it, or choose another.")
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return content
+    except (OSError, ValueError):
+        return None

@@ -1,9 +1,8 @@
-"""Left/right symmetry: every sample is also true in the mirror."""
+"""Left/right symmetry: the mirror image of every sample is a sample, too."""
 
 from __future__ import annotations
 
 import torch
-from rsl_rl.extensions import Symmetry
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -20,6 +19,12 @@ class Mirror:
         self.groups = {
             name: _to(group_image(env, name, group), env.device) for name, group in env.cfg.observations.items()
         }
+        for name, value in env.get_observations().items():
+            if value.dim() != 2:
+                raise UserError(
+                    f"observation group '{name}' is no vector, so that its mirror image is unknown; set agent.symmetry "
+                    "to False."
+                )
         self.actions = _to(joint_image(env.robot), env.device)
 
     def observation(self, obs: TensorDict) -> TensorDict:
@@ -43,17 +48,6 @@ class Mirror:
             groups = {name: with_image(image, obs[name]) for name, image in self.groups.items()}
             both = TensorDict(groups, batch_size=[2 * obs.batch_size[0]], device=obs.device)
         return both, None if actions is None else with_image(self.actions, actions)
-
-
-class MirrorAugmentation(Symmetry):
-    """rsl_rl's augmentation without a second pass through the actor,
-    whose answer to the doubled batch is already known."""
-
-    def compute_loss(self, actor: torch.nn.Module, batch: object, original_batch_size: int) -> Tensor:
-        """How far the policy is from symmetric: mean squared difference of the mirrored means, for the log only."""
-        means = actor.output_mean.detach()  # type: ignore[operator]
-        _, mirrored = self.data_augmentation_func(env=self.env, obs=None, actions=means[:original_batch_size])
-        return torch.nn.functional.mse_loss(means[original_batch_size:], mirrored[original_batch_size:])
 
 
 def apply(image: Image, x: Tensor) -> Tensor:

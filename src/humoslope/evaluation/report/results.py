@@ -239,7 +239,7 @@ def read_report(report: Mapping[str, Any], name: str = "") -> Result:
 
 
 def _training(checkpoint: Mapping[str, Any]) -> Training:
-    ancestor = checkpoint.get("ancestor")
+    ancestor = checkpoint.get("parent", checkpoint.get("ancestor"))  # its name in older results
     before = _training(ancestor) if ancestor else Training((), None)
     harness = checkpoint["harness"]
     if harness is None and before.harness is not None:

@@ -75,21 +75,21 @@ def load_calibration(path: Path) -> tuple[SwingCalibration, dict[str, Any]]:
         raise UserError(f"calibration '{path}' is broken: {error}") from None
 
 
-def check_belongs(meta: dict[str, Any], checkpoint: Path, sha256: str) -> None:
+def check_belongs(meta: dict[str, Any], checkpoint: Path, known_as: tuple[str, ...]) -> None:
     """Says that a calibration was made from another policy than `checkpoint`.
 
     Args:
         meta: From `load_calibration`.
-        sha256: Of the checkpoint file, hexadecimal.
+        known_as: SHA-256 of the checkpoint file, hexadecimal, and of files that it was converted from.
 
     Raises:
         UserError: If it was.
     """
     made_from = meta["checkpoint"]
-    if made_from["sha256"] != sha256:
+    if made_from["sha256"] not in known_as:
         raise UserError(
             f"the calibration was made from checkpoint '{made_from['path']}' (sha256 {made_from['sha256'][:12]}), not "
-            f"from '{checkpoint}' ({sha256[:12]}); calibrate that one with `humoslope calibrate {checkpoint}`."
+            f"from '{checkpoint}' ({known_as[0][:12]}); calibrate that one with `humoslope calibrate {checkpoint}`."
         )
 
 

@@ -1,0 +1,320 @@
+"""The training loop: collects, updates, logs, saves, stops and resumes, alike for every learner."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.errors import UserError
+from humoslope.files import write_atomically
+from humoslope.learning import checkpoint
+from humoslope.learning.distributed import Processes, any_process
+from humoslope.learning.learner import Learner, Transition
+from humoslope.learning.logger import CurveWriter, ProgressLine
+from humoslope.learning.policy import load_weights, parent_record, spec_of, spec_state
+from humoslope.learning.rng import restore_rng, rng_state, seed_everything
+from humoslope.packing import pack
+from humoslope.provenance import commit
+from humoslope.registry import TaskCfg
+
+RANK_SEED_STRIDE = 1_000_003
+"""Distance in seed between the iterations at which the processes beyond the first one resume; a prime number."""
+
+
+class Trainer:
+    """Trains a task; one iteration is a rollout of `num_steps_per_env` steps and an update of the learner.
+
+    Args:
+        task: Name of the task, written into checkpoints.
+        cfg: The configuration that `env` was built with; written into checkpoints.
+        run_dir: Folder for curves and checkpoints; None writes nothing.
+        processes: The processes that train together.
+
+    Attributes:
+        iteration: Number of iterations that are done.
+
+    Raises:
+        UserError: If the configuration of the agent is impossible or does not fit the environment.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        cfg: TaskCfg,
+        env: ManagerBasedRlEnv,
+        run_dir: Path | None,
+        console: Console,
+        processes: Processes | None = None,
+    ) -> None:
+        self.task, self.cfg, self.env, self.run_dir = task, cfg, env, run_dir
+        self._console, self._processes = console, processes or Processes()
+        cfg.agent.check()
+        self.learner: Learner = cfg.agent.build(env)
+        if self.learner.wants_terminal_obs:
+            env.enable_terminal_observations()
+        self.iteration, self.total_steps, self.total_time = 0, 0, 0.0
+        self._parent: dict[str, Any] | None = None
+        self._config = pack(cfg)
+        self._stop_asked = False
+        self._last_saved: Path | None = None
+
+    def train(self) -> bool:
+        """Trains up to the configured number of iterations; SIGINT or SIGTERM saves and ends it early.
+
+        Returns:
+            Whether training is complete.
+
+        Raises:
+            UserError: If a reward, an observation or a weight is not finite. The last good checkpoint is kept.
+        """
+        last, first = self.cfg.agent.max_iterations, self.iteration
+        if first >= last:
+            self._console.print(f"Nothing left to do: {first} iterations are done.")
+            return True
+        self.start_episodes()
+        curves = CurveWriter(self.run_dir, self.cfg.agent)
+        line = ProgressLine(self._console, first, last)
+        try:
+            with self._stopped_by_signals():
+                stopping = False
+                while self.iteration < last and not stopping:
+                    values = self.iterate()
+                    curves.write(self.iteration - 1, values)
+                    line.show(self.iteration - 1, values)
+                    self._report_physics(values)
+                    (stopping,) = any_process((self._stop_asked,), self.env.device)
+                    if stopping or self._is_saved_now(last):
+                        self._save(curves)
+        finally:
+            curves.close()
+        if self.iteration < last:
+            self._console.print(f"Stopped after iteration {self.iteration}; saved {self._last_saved}.")
+        return self.iteration == last
+
+    def start_episodes(self) -> None:
+        """Spreads the episodes over their length and gives every process the same weights.
+
+        Envs that all start at once would also end at once, and the learner would see one phase of the episode at a
+        time.
+        """
+        buf = self.env.episode_length_buf
+        self.env.episode_length_buf = torch.randint_like(buf, high=self.env.max_episode_length)
+        if self._processes.size > 1:
+            self.learner.synchronise()
+
+    def iterate(self) -> dict[str, float]:
+        """One iteration; returns a point of every curve.
+
+        Raises:
+            UserError: If a reward, an observation or a loss is not finite.
+        """
+        self.learner.begin(self.iteration)
+        start = time.perf_counter()
+        obs = self._collect()
+        collected = self._now()
+        self._require_finite_values()
+        losses = self.learner.update(obs)
+        learned = self._now()
+
+        self.iteration += 1
+        steps = self.cfg.agent.num_steps_per_env * self.env.num_envs * self._processes.size
+        self.total_steps += steps
+        self.total_time += learned - start
+        self._require_finite_losses(losses)
+        return {
+            **self.env.log.flush(),
+            **losses,
+            "Perf/steps_per_second": steps / (learned - start),
+            "Perf/collection_time": collected - start,
+            "Perf/learning_time": learned - collected,
+            "Perf/total_steps": float(self.total_steps),
+            "Perf/total_time": self.total_time,
+        }
+
+    def save(self, path: Path) -> None:
+        """Writes a complete checkpoint in one step.
+
+        Raises:
+            UserError: If a weight is not finite; nothing is written then.
+        """
+        checkpoint.save(path, self.state())
+
+    def state(self) -> dict[str, Any]:
+        """Everything that a checkpoint holds; see `checkpoint`."""
+        return {
+            "task": self.task,
+            "code": commit(),
+            "iteration": self.iteration - 1,
+            "total_steps": self.total_steps,
+            "total_time": self.total_time,
+            "config": self._config,
+            "policy": {"spec": spec_state(self.learner.spec), "weights": self.learner.policy.state_dict()},
+            "learner": self.learner.state_dict(),
+            "env": self.env.state_dict(),
+            "rng": rng_state(self.env.device),
+            "parent": self._parent,
+            "formerly": (),
+        }
+
+    def resume(self, path: Path) -> None:
+        """Continues from a checkpoint of the same task: networks, optimisers, curricula, counters and random numbers.
+
+        Every process beyond the first draws new random numbers, since a checkpoint holds only those of the first.
+
+        Raises:
+            UserError: If it cannot be used here.
+        """
+        state = checkpoint.load(path, self.task, self.env.device)
+        self._load_policy(path, state)
+        try:
+            self.learner.load_state_dict(state["learner"])
+            self.env.load_state_dict(state["env"])
+        except (RuntimeError, ValueError) as error:
+            raise _misfit(path, error) from None
+        except KeyError as missing:
+            raise UserError(f"checkpoint '{path}' lacks {missing}; another version of the code wrote it.") from None
+        self.iteration = state["iteration"] + 1
+        self.total_steps, self.total_time = state["total_steps"], state["total_time"]
+        self._parent, self._last_saved = state["parent"], path
+        if self._processes.is_first:
+            restore_rng(state["rng"], self.env.device)
+        else:
+            seed_everything((self.cfg.env.seed + RANK_SEED_STRIDE * self.iteration) % 2**32)
+
+    def warm_start(self, path: Path) -> None:
+        """Takes the policy, with its normaliser, from a checkpoint of any task; everything else starts anew.
+        Checkpoints of this run record it as their parent.
+
+        Raises:
+            UserError: If it cannot be used here.
+        """
+        state = checkpoint.load(path, device=self.env.device)
+        self._load_policy(path, state)
+        self._parent = parent_record(path, state)
+
+    def _collect(self) -> Any:
+        """A rollout; returns the observations after it."""
+        env, learner = self.env, self.learner
+        obs = env.get_observations()
+        with torch.inference_mode():
+            for _ in range(self.cfg.agent.num_steps_per_env):
+                action = learner.act(obs)
+                next_obs, reward, terminated, time_outs = env.step(action)
+                env.log.add("Train/reward", reward / env.step_dt)
+                terminal = env.terminal_observations if learner.wants_terminal_obs else None
+                learner.take(Transition(obs, action, reward, terminated, time_outs, next_obs, terminal))
+                obs = next_obs
+        return obs
+
+    def _now(self) -> float:
+        """The time, s, once the device has done what it was asked for."""
+        if self.env.device.type == "cuda":
+            torch.cuda.synchronize(self.env.device)
+        return time.perf_counter()
+
+    def _require_finite_values(self) -> None:
+        """Ends all processes if one of them met a reward, an observation or an action that is not finite.
+
+        The weights are those of the iteration before, which were good, so that they are saved first.
+        """
+        found = self.env.non_finite()
+        (failed,) = any_process((bool(found),), self.env.device)
+        if not failed:
+            return
+        if self.run_dir is not None and self.iteration > 0 and self._model_path() != self._last_saved:
+            self._last_saved = self._model_path()
+            self.save(self._last_saved)
+        raise self._diverged("; ".join(found) or "another process met a value that is not finite", self.iteration + 1)
+
+    def _require_finite_losses(self, losses: dict[str, float]) -> None:
+        broken = [name for name, value in losses.items() if not math.isfinite(value)]
+        (failed,) = any_process((bool(broken),), self.env.device)
+        if failed:
+            raise self._diverged(f"{', '.join(broken) or 'a loss of another process'} is not finite", self.iteration)
+
+    def _diverged(self, said: str, iteration: int) -> UserError:
+        kept = f"the last good checkpoint is {self._last_saved}" if self._last_saved else "there is no checkpoint yet"
+        return UserError(f"{said} (iteration {iteration}); {kept}.")
+
+    def _is_saved_now(self, last: int) -> bool:
+        return self.iteration == last or (self.iteration - 1) % self.cfg.agent.save_interval == 0
+
+    def _save(self, curves: CurveWriter) -> None:
+        if self.run_dir is None:
+            return
+        path = self._model_path()
+        self.save(path)
+        self._last_saved = path
+        curves.flush()
+        curves.upload(path, self.iteration - 1)
+
+    def _model_path(self) -> Path:
+        assert self.run_dir is not None
+        return self.run_dir / f"model_{self.iteration - 1}.pt"
+
+    def _load_policy(self, path: Path, state: dict[str, Any]) -> None:
+        trained, ours = spec_of(state), self.learner.spec
+        if trained.network != ours.network:
+            raise UserError(
+                f"checkpoint '{path}' holds a network of kind '{trained.network}', this run has '{ours.network}'."
+            )
+        trained.check_fits(self.env, path)
+        widths, own = (tuple(spec.settings.get("hidden_dims", ())) for spec in (trained, ours))
+        if widths != own:
+            raise UserError(
+                f"the policy of checkpoint '{path}' has hidden layers of {widths}, this run's of {own}; "
+                f"add --agent.hidden-dims {' '.join(map(str, widths))}."
+            )
+        load_weights(self.learner.policy, state, path)
+
+    def _report_physics(self, values: dict[str, float]) -> None:
+        for warning in self.env.sim.warnings():
+            self._console.print(f"[yellow]physics: {warning}[/yellow]")
+        if values.get("Train/diverged", 0.0) > 0.0:
+            self._report_divergence()
+
+    def _report_divergence(self) -> None:
+        states = self.env.take_divergence()
+        if states is None or self.run_dir is None:
+            return
+        qpos, qvel = states
+        path = self.run_dir / "diverged" / f"iteration_{self.iteration - 1}.npz"
+        write_atomically(path, lambda out: np.savez(out, qpos=qpos.numpy(), qvel=qvel.numpy()))
+        self._console.print(f"[yellow]An env diverged and was reset; its last states are in {path}.[/yellow]")
+
+    @contextmanager
+    def _stopped_by_signals(self) -> Iterator[None]:
+        """While inside, SIGINT and SIGTERM end the run after its iteration; once more ends it at once."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def stop(number: int, frame: FrameType | None) -> None:
+            if self._stop_asked:
+                raise KeyboardInterrupt
+            self._stop_asked = True
+            self._console.print("Stopping after this iteration; once more stops at once, without saving.")
+
+        handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+
+
+def _misfit(path: Path, error: Exception) -> UserError:
+    detail = str(error).strip().splitlines()[-1].strip()
+    return UserError(f"checkpoint '{path}' does not fit the configured networks: {detail}")
