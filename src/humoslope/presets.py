@@ -35,9 +35,6 @@ def apply_preset(cfg: TaskCfg, preset: Literal["cpu", "gpu"]) -> None:
         # Faster than the elliptic cone; `make bench ARGS="--env.sim.cone elliptic"` tells by how much. Along a ramp's
         # axes both hold alike; between them the pyramid holds less, so that training is the harder of the two.
         cfg.env.sim.cone = "pyramidal"
-        cfg.agent.hidden_dims = (256, 128, 128)
-        cfg.agent.num_learning_epochs = 2
-        # Only where the CPU multiplies in bfloat16 itself. `make bench ARGS="--agent.no-mixed-precision"` compares.
-        cfg.agent.mixed_precision = bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
     else:
         raise unknown("preset", preset, ("cpu", "gpu"))
+    cfg.agent.scale_to(preset)

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from humoslope.learning.runner import Runner
 from rich.console import Console
 
 from humoslope.cli import main
 from humoslope.env import ManagerBasedRlEnv
+from humoslope.learning.trainer import Trainer
 from humoslope.presets import apply_preset
 from humoslope.registry import build_task
 
@@ -24,9 +24,10 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     apply_preset(cfg, "cpu")
     cfg.env.num_envs, cfg.env.sim.backend, cfg.env.sim.device = 4, "native", "cpu"
     cfg.agent.hidden_dims = (24, 16)
-    runner = Runner(TASK, ManagerBasedRlEnv(cfg.env), cfg.agent, None, Console(quiet=True))
+    trainer = Trainer(TASK, cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True))
     path = tmp_path_factory.mktemp("run") / "model_0.pt"
-    runner.save(str(path))
+    trainer.iteration = 1
+    trainer.save(path)
     return path
 
 

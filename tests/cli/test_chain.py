@@ -41,27 +41,30 @@ def test_stage_2_starts_from_the_newest_stage_1_with_its_calibration_and_says_so
     assert f"Starts from the actor of logs/{STAGE_1}/1/model_1.pt" in said
     calibration, _ = load_calibration(folder / "logs" / STAGE_1 / "1" / "model_1.swing.json")
     assert f"beta0 {calibration.beta0:.4g}" in said
-    options = (folder / "stage2" / "options.txt").read_text()
+    options = (folder / "stage2" / "starts" / "1" / "options.txt").read_text()
     assert f"--env.rewards.swing-hip.params.beta0 {calibration.beta0!r}" in options  # a resumed run has it too
 
 
 def test_its_actor_is_stage_1s_and_its_critic_is_new_and_larger(folder):
     first = checkpoint.load(folder / "logs" / STAGE_1 / "1" / "model_1.pt", STAGE_1)
     second = checkpoint.load(folder / "stage2" / "model_0.pt", STAGE_2)
-    for name, weight in first["actor_state_dict"].items():
+    for name, weight in first["policy"]["weights"].items():
         if "normalizer" not in name:
-            assert torch.equal(weight, second["actor_state_dict"][name]), name
+            assert torch.equal(weight, second["policy"]["weights"][name]), name
     width = "mlp.0.weight"
-    assert second["critic_state_dict"][width].shape[1] == first["critic_state_dict"][width].shape[1] + 5
+    assert (
+        second["learner"]["critic_state_dict"][width].shape[1]
+        == first["learner"]["critic_state_dict"][width].shape[1] + 5
+    )
 
 
 def test_its_checkpoints_tell_the_whole_descent(folder):
     provenance = read_provenance(folder / "stage2" / "model_1.pt")
     assert provenance.harness is None
-    assert provenance.ancestor is not None
-    assert provenance.ancestor.task == STAGE_1
-    assert provenance.ancestor.ancestor is not None
-    assert provenance.ancestor.ancestor.total_steps == read_provenance(WALKER).total_steps
+    assert provenance.parent is not None
+    assert provenance.parent.task == STAGE_1
+    assert provenance.parent.parent is not None
+    assert provenance.parent.parent.total_steps == read_provenance(WALKER).total_steps
 
 
 def test_a_calibration_of_another_checkpoint_is_refused(folder, tmp_path, monkeypatch, capsys):
@@ -103,7 +106,7 @@ def test_without_a_run_of_ones_own_the_shipped_checkpoint_is_taken(tmp_path, mon
     monkeypatch.chdir(tmp_path)
     options = ["--run-dir", "run", "--calibration", "prior", "--agent.max-iterations", "1"]
     assert main(["train", STAGE_2, *TINY, *options]) == 0
-    ancestor = read_provenance(tmp_path / "run" / "model_0.pt").ancestor
-    assert ancestor is not None
-    assert ancestor.sha256 == checkpoint.digest(WALKER)
+    parent = read_provenance(tmp_path / "run" / "model_0.pt").parent
+    assert parent is not None
+    assert parent.sha256 == checkpoint.digest(WALKER)
     shutil.rmtree(tmp_path / "run")

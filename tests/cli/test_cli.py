@@ -144,23 +144,29 @@ def test_the_impossible_is_refused_before_anything_is_written(mistake, folder, o
     assert content(folder) == before
 
 
-STATE = {"actor_state_dict": {}, "task": TASK, "format": checkpoint.FORMAT}
+STATE = {"policy": {}, "task": TASK, "format": checkpoint.FORMAT}
 
 
 @pytest.mark.parametrize(
     ("state", "said"),
     [
-        (b"no checkpoint", "broken or truncated"),
-        (b"", "broken or truncated"),
+        (b"no checkpoint", "damaged or truncated"),
+        (b"", "damaged or truncated"),
         ({"weights": 1}, "is not a HumoSlope checkpoint"),
         (STATE | {"format": 0}, "has format 0; this version reads format"),
         (STATE | {"task": OTHER_TASK}, f"belongs to task '{OTHER_TASK}', not to '{TASK}'"),
+        (STATE, "damaged or truncated"),
     ],
 )
 def test_a_run_does_not_resume_from_what_is_not_its_checkpoint(mistake, folder, state, said):
     (folder / "run").mkdir()
     path = folder / "run" / "model_7.pt"
-    path.write_bytes(state) if isinstance(state, bytes) else torch.save(state, path)
+    if isinstance(state, bytes):
+        path.write_bytes(state)
+    else:
+        torch.save(state, path)
+        if state is not STATE:  # which lacks its checksum
+            path.write_bytes(checkpoint.sealed(path.read_bytes()))
     before = content(folder)
     answer = mistake("train", TASK, *SMALL, "--resume", "run")
     assert said in answer
@@ -173,6 +179,7 @@ def test_a_run_does_not_resume_from_what_is_not_its_checkpoint(mistake, folder, 
     [
         ("model_3.pt", "holds a run already; resume it with --resume run"),
         ("config.json", "holds a run that left no checkpoint"),
+        ("starts", "holds a run that left no checkpoint"),
         ("console.log", "holds a run that left no checkpoint"),
     ],
 )
@@ -189,7 +196,7 @@ def test_a_checkpoint_that_does_not_fit_leaves_the_run_as_it_was(mistake, folder
     (folder / "run" / "model_0.pt").write_bytes(untrained.read_bytes())
     before = content(folder)
     narrow = ["--agent.hidden-dims", "8"]
-    assert "does not fit the configured networks" in mistake("train", TASK, *SMALL, *narrow, "--resume", "run")
+    assert "add --agent.hidden-dims 24 16" in mistake("train", TASK, *SMALL, *narrow, "--resume", "run")
     assert content(folder) == before
 
 

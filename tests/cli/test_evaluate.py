@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from humoslope.cli import main
 from humoslope.evaluation.track.progress import Progress
+from humoslope.learning import checkpoint
 
 TINY = ("--grades", "0", "30", "--tiers", "0.6", "--trials", "2", "--lanes", "1", "--timeout-s", "1.2")
 
@@ -123,9 +123,7 @@ def test_an_evaluation_that_is_stopped_at_once_leaves_a_partial_result_of_nothin
 
 
 def test_checkpoints_of_one_method_are_pooled(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    other = torch.load(path, weights_only=True)
-    other["iter"] = 5
-    torch.save(other, path.with_name("model_5.pt"))
+    checkpoint.save(path.with_name("model_5.pt"), checkpoint.load(path) | {"iteration": 5})
     out = path.with_name("both")
     assert main(["evaluate", str(path), str(path.with_name("model_5.pt")), *TINY, "--out", str(out)]) == 0
     report = told(out)

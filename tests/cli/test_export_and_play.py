@@ -14,15 +14,18 @@ import torch
 from humoslope.cli import main
 from humoslope.deploy import contract as contracts
 from humoslope.deploy import window
+from humoslope.learning import checkpoint
 from robots.unitree_g1 import UNITREE_G1
 
 
-def test_a_run_is_exported_beside_its_newest_checkpoint_with_its_own_options(
+def test_a_run_is_exported_beside_its_newest_checkpoint_with_its_own_configuration(
     untrained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for number in (2, 10):
-        shutil.copy(untrained, tmp_path / f"model_{number}.pt")
-    (tmp_path / "options.txt").write_text("--preset cpu --env.actions.scale-factor 0.5 --env.command.speed 0.2 0.4")
+    shutil.copy(untrained, tmp_path / "model_2.pt")
+    state = checkpoint.load(untrained)
+    state["config"]["env"]["actions"]["scale_factor"] = 0.5
+    state["config"]["env"]["command"]["speed"] = (0.2, 0.4)
+    checkpoint.save(tmp_path / "model_10.pt", state)
     assert main(["export", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "ONNX 480 -> 29; at most" in printed

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from humoslope.cli import main
+from humoslope.learning import checkpoint
 
 SHORT = ("--starts", "2", "--seconds", "3", "--grades", "0", "-20")
 
@@ -66,14 +67,18 @@ def test_figures_land_beside_the_newest_checkpoint_of_a_run(
     assert figures["ramps"][0]["falls"]["count"] == 0
 
 
-def test_a_run_walks_with_the_options_it_was_trained_with(
+def test_a_policy_walks_as_it_was_trained_whatever_lies_beside_its_checkpoint(
     untrained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = Path(shutil.copy(untrained, tmp_path))
-    (tmp_path / "options.txt").write_text("--preset cpu --env.actions.scale-factor 0.5")
-    figures, _ = walk(path, capsys)
+    state = checkpoint.load(untrained)
+    state["config"]["env"]["actions"]["scale_factor"] = 0.5
+    path = tmp_path / "renamed.pt"
+    checkpoint.save(path, state)
+    (tmp_path / "options.txt").write_text("--preset cpu --env.actions.scale-factor 0.7")
+    figures, printed = walk(path, capsys)
     assert figures["environment"]["actions"]["scale_factor"] == 0.5
     assert figures["physics"]["timestep"] == 0.005  # measured, not trained
+    assert "has changed since in actions.scale_factor; the configuration in" in printed.replace("\n", " ")
 
 
 def test_the_same_seed_gives_the_same_figures(

@@ -14,7 +14,7 @@ from humoslope.cli.options import parse
 from humoslope.cli.overrides import merge_options, mirror_type, option_names
 from humoslope.cli.train import TrainArgs
 from humoslope.errors import UserError
-from humoslope.learning.config import AgentCfg
+from humoslope.learning.config import PpoCfg
 from humoslope.presets import apply_preset
 from humoslope.provenance import plain
 from humoslope.registry import all_tasks, build_task
@@ -145,7 +145,7 @@ def test_an_option_replaces_one_of_the_same_name_however_it_is_spelt():
     ],
 )
 def test_an_impossible_number_of_the_agent_is_named(field, value):
-    cfg = AgentCfg()
+    cfg = PpoCfg()
     setattr(cfg, field, value)
     with pytest.raises(UserError, match=rf"agent\.{field}"):
-        cfg.to_rsl_rl()
+        cfg.check()

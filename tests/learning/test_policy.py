@@ -12,24 +12,24 @@ from tensordict import TensorDict
 
 from humoslope.errors import UserError
 from humoslope.learning import checkpoint
-from humoslope.learning.networks import Network
-from humoslope.learning.policy import find_checkpoint, load_actor, read_provenance
+from humoslope.learning.policy import PolicySpec, find_checkpoint, load_actor, read_provenance, spec_state
 
 INPUTS, JOINTS = 12, 5
 
 
-def network(hidden: tuple[int, ...], normalized: bool) -> Network:
+def spec_of(hidden: tuple[int, ...], normalized: bool) -> PolicySpec:
+    settings = {
+        "hidden_dims": hidden,
+        "activation": "elu",
+        "obs_normalization": normalized,
+        "distribution_cfg": {"class_name": "GaussianDistribution", "init_std": 0.3},
+    }
+    return PolicySpec("mlp", ("actor",), ((INPUTS,),), JOINTS, settings)
+
+
+def network(hidden: tuple[int, ...], normalized: bool) -> Any:
     torch.manual_seed(0)
-    return Network(
-        observations(1),
-        {"actor": ["actor"]},
-        "actor",
-        JOINTS,
-        hidden_dims=hidden,
-        activation="elu",
-        obs_normalization=normalized,
-        distribution_cfg={"class_name": "GaussianDistribution", "init_std": 0.3},
-    )
+    return spec_of(hidden, normalized).build("cpu")
 
 
 def observations(count: int, inputs: int = INPUTS) -> TensorDict:
@@ -43,13 +43,18 @@ def environment(inputs: int = INPUTS, joints: int = JOINTS) -> Any:
     return SimpleNamespace(device=torch.device("cpu"), robot=robot, get_observations=lambda: obs)
 
 
-def save(path: Path, model: Network, **changes: Any) -> Path:
+def save(
+    path: Path, hidden: tuple[int, ...] = (8,), normalized: bool = True, model: Any = None, **changes: Any
+) -> Path:
+    model = network(hidden, normalized) if model is None else model
     state = {
-        "actor_state_dict": model.state_dict(),
+        "policy": {"spec": spec_state(spec_of(hidden, normalized)), "weights": model.state_dict()},
         "task": "Walk",
-        "iter": 7,
+        "iteration": 7,
         "total_steps": 98304,
         "env": {"curriculum": {"harness": {"scale": 0.25}}},
+        "parent": None,
+        "formerly": (),
     }
     checkpoint.save(path, {**state, **changes})
     return path
@@ -62,7 +67,7 @@ def test_networks_of_every_preset_act_as_they_did_in_training(
 ) -> None:
     model = network(hidden, normalized)
     model.update_normalization(observations(100))
-    path = save(tmp_path / "model_7.pt", model)
+    path = save(tmp_path / "model_7.pt", hidden, normalized, model)
     actor = load_actor(path, environment(), "Walk")
     obs = observations(4)
     torch.testing.assert_close(actor(obs), model.eval()(obs), rtol=0, atol=0)
@@ -80,7 +85,7 @@ def test_networks_of_every_preset_act_as_they_did_in_training(
 def test_a_checkpoint_says_whether_a_harness_helped(
     tmp_path: Path, curriculum: Any, scale: float | None, said: str
 ) -> None:
-    path = save(tmp_path / "model_7.pt", network((8,), True), env={"curriculum": curriculum})
+    path = save(tmp_path / "model_7.pt", env={"curriculum": curriculum})
     provenance = read_provenance(path)
     assert provenance.harness == scale
     assert said in provenance.training
@@ -89,8 +94,10 @@ def test_a_checkpoint_says_whether_a_harness_helped(
 
 
 def test_a_policy_that_does_not_fit_says_what_it_was_trained_with(tmp_path: Path) -> None:
-    path = save(tmp_path / "model_7.pt", network((8,), True))
-    with pytest.raises(UserError, match="trained with 12 observations, but this environment of robot has 20"):
+    path = save(tmp_path / "model_7.pt")
+    with pytest.raises(
+        UserError, match="trained with 12 observations in group 'actor', but this environment of .* has 20"
+    ):
         load_actor(path, environment(inputs=20))
     with pytest.raises(UserError, match="trained with 5 actions, but this environment of robot has 6"):
         load_actor(path, environment(joints=6))
@@ -98,18 +105,36 @@ def test_a_policy_that_does_not_fit_says_what_it_was_trained_with(tmp_path: Path
         load_actor(path, environment(), "Run")
 
 
-def test_an_actor_of_another_kind_is_refused(tmp_path: Path) -> None:
-    weights = network((8,), True).state_dict()
-    path = save(tmp_path / "model_7.pt", network((8,), True), actor_state_dict={"rnn.weight": torch.zeros(2)})
-    with pytest.raises(UserError, match="another kind of actor: it has no hidden layer"):
+def test_a_group_that_the_environment_lacks_is_named(tmp_path: Path) -> None:
+    path = save(tmp_path / "model_7.pt")
+    bare = environment()
+    bare.get_observations = lambda: TensorDict({"acto": torch.zeros(3, INPUTS)}, batch_size=[3])
+    with pytest.raises(UserError, match="observation group 'actor' does not exist; did you mean 'acto'"):
+        load_actor(path, bare)
+
+
+def test_weights_of_another_network_than_described_are_refused(tmp_path: Path) -> None:
+    path = save(tmp_path / "model_7.pt", (8,), True, network((9,), True))
+    with pytest.raises(UserError, match="does not hold the network that it describes"):
         load_actor(path, environment())
-    path = save(tmp_path / "model_8.pt", network((8,), True), actor_state_dict=weights | {"extra": torch.zeros(1)})
-    with pytest.raises(UserError, match=r"another kind of actor: .*extra"):
-        load_actor(path, environment())
+
+
+def test_a_network_that_is_not_registered_is_named_with_the_nearest_match(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="network 'mpl' does not exist; did you mean 'mlp'"):
+        PolicySpec("mpl", ("actor",), ((INPUTS,),), JOINTS, {}).build("cpu")
+
+
+def test_a_group_without_the_shape_that_its_network_wants_is_refused(tmp_path: Path) -> None:
+    flat = PolicySpec("cnn", ("image",), ((4,),), JOINTS, {"cnn_cfg": {"output_channels": [2], "kernel_size": 3}})
+    with pytest.raises(UserError, match=r"network 'cnn' cannot be built for groups of image 4"):
+        flat.build("cpu")
+    image = PolicySpec("mlp", ("image",), ((1, 4, 4),), JOINTS, {})
+    with pytest.raises(UserError, match=r"network 'mlp' cannot be built for groups of image 1 x 4 x 4"):
+        image.build("cpu")
 
 
 def test_a_run_folder_stands_for_its_newest_checkpoint(tmp_path: Path) -> None:
     for number in (2, 10):
-        save(tmp_path / f"model_{number}.pt", network((8,), True))
+        save(tmp_path / f"model_{number}.pt")
     assert find_checkpoint(tmp_path) == tmp_path / "model_10.pt"
     assert find_checkpoint(tmp_path / "model_2.pt") == tmp_path / "model_2.pt"

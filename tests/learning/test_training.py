@@ -14,17 +14,20 @@ from typing import Any
 
 import pytest
 import torch
-from humoslope.learning.runner import Runner, seed_everything
 from rich.console import Console
 
 from humoslope.cli import main
 from humoslope.cli.options import parse
+from humoslope.cli.overrides import option_groups
 from humoslope.cli.train import TrainArgs
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.report.curve import read_curves
 from humoslope.learning import checkpoint
-from humoslope.learning.logger import TrainingLogger
+from humoslope.learning.logger import ProgressLine
+from humoslope.learning.rng import seed_everything
+from humoslope.learning.run_folder import saved_options
+from humoslope.learning.trainer import Trainer
 
 PATIENCE_S = 600.0
 """How long a child process may take before the test gives up on it; no result depends on it."""
@@ -63,21 +66,24 @@ def test_one_seed_gives_one_result(train, finished, tmp_path):
 
 def test_another_seed_gives_another_result(train, finished, tmp_path):
     other = train(tmp_path / "other", "--agent.max-iterations", "1", "--env.seed", "2")
-    first, second = (checkpoint.load(run / "model_0.pt")["actor_state_dict"] for run in (finished, other))
+    first, second = (checkpoint.load(run / "model_0.pt")["policy"]["weights"] for run in (finished, other))
     assert any(not torch.equal(first[name], second[name]) for name in first)
 
 
 def test_the_folder_of_a_run_tells_what_it_was(finished, task):
-    config = json.loads((finished / "config.json").read_text())
+    record = finished / "starts" / "1"
+    config = json.loads((record / "config.json").read_text())
     assert config["task"] == task
     assert config["env"]["num_envs"] == 8
     assert config["agent"]["hidden_dims"] == [16, 16]
-    assert (finished / "git.txt").read_text().startswith("commit ")
-    assert "--env.num-envs 8" in (finished / "options.txt").read_text()
+    assert (record / "git.txt").read_text().startswith("commit ")
+    assert "--env.num-envs 8" in (record / "options.txt").read_text()
+    about = json.loads((record / "start.json").read_text())
+    assert (about["iteration"], about["total_steps"], about["from"]) == (0, 0, None)
     assert "3/3" in (finished / "console.log").read_text()
     files = {path.name for path in finished.iterdir() if not path.name.startswith("events.out.tfevents.")}
     models = {f"model_{number}.pt" for number in range(3)}
-    assert files == models | {"config.json", "git.txt", "options.txt", "console.log"}
+    assert files == models | {"starts", "console.log"}
 
 
 def test_the_curves_of_a_run_count_its_iterations_and_steps(finished):
@@ -98,16 +104,19 @@ def test_a_resumed_run_keeps_the_options_it_was_started_with(finished, task, tmp
     run = shutil.copytree(finished, tmp_path / "run")
     assert main(["train", task, "--resume", str(run), "--agent.max-iterations", "5"]) == 0
     assert f"Resumed from {run / 'model_2.pt'}" in capsys.readouterr().out.replace("\n", "")
-    config = json.loads((run / "config.json").read_text())
+    config = json.loads((run / "starts" / "2" / "config.json").read_text())
     assert config["env"]["num_envs"] == 8
     assert config["agent"]["hidden_dims"] == [16, 16]
     assert config["agent"]["max_iterations"] == 5
-    options = (run / "options.txt").read_text().split()
-    assert options.count("--agent.max-iterations") == 1
-    assert "--resume" not in options
+    about = json.loads((run / "starts" / "2" / "start.json").read_text())
+    assert (about["iteration"], about["total_steps"]) == (3, 96)
+    assert (run / "starts" / "2" / "options.txt").read_text() == "--agent.max-iterations 5"
+    assert json.loads((run / "starts" / "1" / "config.json").read_text())["agent"]["max_iterations"] == 3
+    assert option_groups(saved_options(run, total_steps=96))["--agent.max-iterations"][1:] == ["3"]
+    assert option_groups(saved_options(run))["--agent.max-iterations"][1:] == ["5"]
     curves = read_curves(run)
     assert list(curves["Perf/total_steps"].items()) == [(i, 32.0 * (i + 1)) for i in range(5)]
-    assert checkpoint.load(run / "model_4.pt")["iter"] == 4
+    assert checkpoint.load(run / "model_4.pt")["iteration"] == 4
 
 
 def test_a_complete_run_has_nothing_left_to_do(finished, task, tmp_path, capsys):
@@ -129,7 +138,7 @@ def test_a_killed_run_resumes_from_its_last_checkpoint(task, tiny, tmp_path):
         child.send_signal(signal.SIGKILL)
         child.communicate()
     last = checkpoint.latest(run)
-    done = checkpoint.load(last, task)["iter"] + 1
+    done = checkpoint.load(last, task)["iteration"] + 1
     assert last.name == f"model_{done - 1}.pt"
 
     assert main(["train", task, "--resume", str(run), "--agent.max-iterations", str(done + 2)]) == 0
@@ -139,14 +148,14 @@ def test_a_killed_run_resumes_from_its_last_checkpoint(task, tiny, tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_run_after_its_iteration_with_a_checkpoint(train, task, tmp_path, monkeypatch, capsys, number):
-    shown = TrainingLogger._print
+    shown = ProgressLine.show
 
-    def interrupt(self: TrainingLogger, it: int, *rest: Any) -> None:
-        shown(self, it, *rest)
-        if it == 1:
+    def interrupt(self: ProgressLine, iteration: int, values: dict[str, float]) -> None:
+        shown(self, iteration, values)
+        if iteration == 1:
             os.kill(os.getpid(), number)
 
-    monkeypatch.setattr(TrainingLogger, "_print", interrupt)
+    monkeypatch.setattr(ProgressLine, "show", interrupt)
     before = signal.getsignal(number)
     run = train(tmp_path / "run", "--agent.max-iterations", "1000000", "--agent.save-interval", "1000000")
     assert signal.getsignal(number) == before
@@ -157,52 +166,128 @@ def test_a_signal_ends_a_run_after_its_iteration_with_a_checkpoint(train, task, 
     assert list(read_curves(run)["Perf/total_steps"]) == [0, 1]
 
 
-def make_runner(task: str, tiny: list[str], *options: str) -> Runner:
+def make_trainer(task: str, tiny: list[str], *options: str) -> Trainer:
     cfg, _ = parse(TrainArgs(), task, [*tiny, *options])
     seed_everything(cfg.env.seed)
-    return Runner(task, ManagerBasedRlEnv(cfg.env), cfg.agent, None, Console(quiet=True))
+    return Trainer(task, cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True))
 
 
 def test_resuming_restores_levels_harness_counters_and_random_numbers(task, tiny, tmp_path):
-    first = make_runner(task, tiny)
-    env = first.env.env
+    first = make_trainer(task, tiny)
+    env = first.env
     env.events["harness"].scale = torch.tensor(0.37)
     env.tiles.set_level(torch.arange(8) % 3)
-    first.current_learning_iteration, first.logger.tot_timesteps, first.logger.tot_time = 41, 12345, 67.0
-    first.alg.optimizer.param_groups[0]["lr"] = 3e-4
-    first.save(str(tmp_path / "model_41.pt"))
+    first.iteration, first.total_steps, first.total_time = 42, 12345, 67.0
+    first.learner.alg.optimizer.param_groups[0]["lr"] = 3e-4
+    first.save(tmp_path / "model_41.pt")
     expected = torch.rand(3)
 
-    second = make_runner(task, tiny, "--env.seed", "5")
+    second = make_trainer(task, tiny, "--env.seed", "5")
     second.resume(tmp_path / "model_41.pt")
     assert torch.equal(torch.rand(3), expected)
-    env = second.env.env
+    env = second.env
     assert env.events["harness"].scale.item() == pytest.approx(0.37)
     assert env.tiles.level.tolist() == [i % 3 for i in range(8)]
-    assert second.current_learning_iteration == 42
-    assert (second.logger.tot_timesteps, second.logger.tot_time) == (12345, 67.0)
-    assert second.alg.learning_rate == 3e-4
-    for name, value in first.alg.actor.state_dict().items():
-        assert torch.equal(value, second.alg.actor.state_dict()[name])
+    assert (second.iteration, second.total_steps, second.total_time) == (42, 12345, 67.0)
+    assert second.learner.alg.learning_rate == 3e-4
+    for name, value in first.learner.policy.state_dict().items():
+        assert torch.equal(value, second.learner.policy.state_dict()[name])
+
+
+def test_episodes_of_a_new_start_are_spread_over_their_length(task, tiny):
+    trainer = make_trainer(task, tiny, "--env.num-envs", "64")
+    trainer.start_episodes()
+    steps = trainer.env.episode_length_buf
+    assert steps.min() >= 0
+    assert steps.max() < trainer.env.max_episode_length
+    assert len(steps.unique()) > 48
 
 
 def test_a_warm_start_takes_the_actor_and_nothing_else(task, tiny, finished):
-    runner = make_runner(task, tiny, "--env.seed", "5")
-    critic = {name: value.clone() for name, value in runner.alg.critic.state_dict().items()}
-    runner.warm_start(finished / "model_2.pt")
+    trainer = make_trainer(task, tiny, "--env.seed", "5")
+    critic = {name: value.clone() for name, value in trainer.learner.alg.critic.state_dict().items()}
+    trainer.warm_start(finished / "model_2.pt")
     trained = checkpoint.load(finished / "model_2.pt")
-    actor = runner.alg.actor.state_dict()
-    assert all(torch.equal(actor[name], value) for name, value in trained["actor_state_dict"].items())
-    assert all(torch.equal(value, critic[name]) for name, value in runner.alg.critic.state_dict().items())
-    assert runner.current_learning_iteration == 0
+    actor = trainer.learner.policy.state_dict()
+    assert all(torch.equal(actor[name], value) for name, value in trained["policy"]["weights"].items())
+    assert all(torch.equal(value, critic[name]) for name, value in trainer.learner.alg.critic.state_dict().items())
+    assert trainer.iteration == 0
 
 
-def test_a_checkpoint_of_another_width_is_refused_by_name(task, tiny, finished):
-    runner = make_runner(task, tiny, "--agent.hidden-dims", "8", "8")
-    with pytest.raises(UserError, match=r"model_2.pt' does not fit the configured networks"):
-        runner.resume(finished / "model_2.pt")
+def test_a_checkpoint_of_another_width_is_refused_with_the_option_that_helps(task, tiny, finished):
+    trainer = make_trainer(task, tiny, "--agent.hidden-dims", "8", "8")
+    with pytest.raises(UserError, match=r"model_2.pt' has hidden layers of .* add --agent.hidden-dims 16 16"):
+        trainer.resume(finished / "model_2.pt")
 
 
 def test_more_mini_batches_than_samples_are_refused(task, tiny):
     with pytest.raises(UserError, match="num_mini_batches 64 is more than the 32 samples of a rollout"):
-        make_runner(task, tiny, "--agent.num-mini-batches", "64")
+        make_trainer(task, tiny, "--agent.num-mini-batches", "64")
+
+
+def test_an_option_without_effect_on_a_resumed_run_is_refused(finished, task, tmp_path, capsys):
+    run = shutil.copytree(finished, tmp_path / "run")
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    for option, value in {
+        "--agent.learning-rate": "1e-4",
+        "--agent.init-std": "0.5",
+        "--env.seed": "7",
+        "--preset": "gpu",
+        "--init": str(finished),
+        "--run-dir": "elsewhere",
+    }.items():
+        assert main(["train", task, "--resume", str(run), option, value]) == 2
+        assert f"{option} has no effect on a resumed run" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+def test_a_resumed_run_goes_on_with_the_configuration_of_its_checkpoint_and_not_with_todays_task(
+    finished, task, tmp_path, monkeypatch
+):
+    run = shutil.copytree(finished, tmp_path / "run")
+    shutil.rmtree(run / "starts")
+    assert main(["train", task, "--resume", str(run), "--agent.max-iterations", "4"]) == 0
+    config = json.loads((run / "starts" / "1" / "config.json").read_text())
+    assert (config["env"]["num_envs"], config["agent"]["hidden_dims"]) == (8, [16, 16])
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_value_that_is_not_finite_ends_the_run_with_its_last_good_weights(
+    train, task, tiny, tmp_path, monkeypatch, capsys, number
+):
+    asked: list[int] = []
+
+    def non_finite(self: ManagerBasedRlEnv) -> list[str]:
+        asked.append(1)
+        return ["reward 'zmp' was not finite in 3 of 8 envs"] if len(asked) == number else []
+
+    monkeypatch.setattr(ManagerBasedRlEnv, "non_finite", non_finite)
+    run = tmp_path / "run"
+    options = ["--agent.max-iterations", "9", "--agent.save-interval", "1000"]
+    assert main(["train", task, "--run-dir", str(run), *tiny, *options]) == 2
+    said = capsys.readouterr().err
+    assert "reward 'zmp' was not finite in 3 of 8 envs" in said
+    assert f"(iteration {number})" in said
+    if number == 1:
+        assert "there is no checkpoint yet" in said
+        assert list(run.glob("model_*.pt")) == []
+    else:
+        assert f"the last good checkpoint is {run / 'model_0.pt'}" in said
+        checkpoint.load(run / "model_0.pt")
+
+
+def test_a_loss_that_is_not_finite_ends_the_run_and_its_weights_are_not_saved(train, task, tiny, tmp_path, monkeypatch):
+    trainer = make_trainer(task, tiny)
+    update = trainer.learner.update
+    trainer.learner.update = lambda obs: {**update(obs), "Loss/value": float("nan")}
+    with pytest.raises(UserError, match=r"Loss/value is not finite \(iteration 1\); there is no checkpoint yet"):
+        trainer.iterate()
+
+
+def test_weights_that_are_not_finite_are_never_written(task, tiny, tmp_path):
+    trainer = make_trainer(task, tiny)
+    trainer.iterate()
+    next(iter(trainer.learner.policy.parameters())).data[0] = float("inf")
+    with pytest.raises(UserError, match=r"is not written: policy\.weights\..* holds values that are not finite"):
+        trainer.save(tmp_path / "model_0.pt")
+    assert list(tmp_path.iterdir()) == []

@@ -172,4 +172,4 @@ def test_it_trains_by_the_command_line(task: str, tmp_path: Path) -> None:
     assert main(["train", task, "--run-dir", str(tmp_path / "run"), *tiny]) == 0
     state = checkpoint.load(tmp_path / "run" / "model_0.pt", task)
     assert state["total_steps"] == 32
-    assert all(value.isfinite().all() for value in state["actor_state_dict"].values())
+    assert all(value.isfinite().all() for value in state["policy"]["weights"].values())

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
+import torch
+
 from humoslope.errors import UserError, unknown
 from humoslope.strict import StrictCfg
 
@@ -37,6 +39,9 @@ class AgentCfg(StrictCfg):
 
     START_ONLY: ClassVar[tuple[str, ...]] = ()
     """Fields that only a new run reads: a resumed one continues with the values in its checkpoint."""
+
+    def scale_to(self, preset: Literal["cpu", "gpu"]) -> None:
+        """Sets what depends on the size of the machine, such as widths and epochs. Nothing by default."""
 
     def check(self) -> None:
         """Raises UserError if a value is impossible."""
@@ -100,6 +105,14 @@ class PpoCfg(AgentCfg):
     mixed_precision: bool = False
 
     START_ONLY: ClassVar[tuple[str, ...]] = ("init_std", "learning_rate")
+
+    def scale_to(self, preset: Literal["cpu", "gpu"]) -> None:
+        """Smaller networks and fewer epochs on a CPU."""
+        if preset == "cpu":
+            self.hidden_dims = (256, 128, 128)
+            self.num_learning_epochs = 2
+            # Only where the CPU multiplies in bfloat16 itself; compare with --agent.no-mixed-precision.
+            self.mixed_precision = bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
 
     def check(self) -> None:
         """Raises UserError if a value is impossible."""

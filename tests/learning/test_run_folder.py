@@ -1,0 +1,77 @@
+"""A run folder belongs to one training at a time, and is left as it was found if nothing comes of it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from humoslope.errors import UserError
+from humoslope.learning import run_folder
+from humoslope.learning.run_folder import claimed
+
+HOLD = """
+import sys
+from pathlib import Path
+from humoslope.learning.run_folder import claimed
+with claimed(Path(sys.argv[1]), "Walk", new=True):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_folder_that_another_process_holds_is_refused_and_freed_however_that_ends(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    child = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "held\n"
+        for new in (True, False):
+            with pytest.raises(UserError, match="is in use by another training"), claimed(path, "Walk", new):
+                pass
+    finally:
+        child.kill()
+        child.communicate()
+    with claimed(path, "Walk", new=True) as claim:
+        assert claim == path
+
+
+def test_a_folder_that_nothing_was_written_into_is_removed_with_its_parents(tmp_path: Path) -> None:
+    with claimed(tmp_path / "a" / "b" / "run", "Walk", new=True):
+        pass
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(RuntimeError, match="later"), claimed(tmp_path / "run", "Walk", new=True):
+        raise RuntimeError("later")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_written_and_what_was_there_before_stays(tmp_path: Path) -> None:
+    with claimed(tmp_path / "run", "Walk", new=True) as path:
+        (path / "model_0.pt").touch()
+    assert (tmp_path / "run" / "model_0.pt").is_file()
+    (tmp_path / "empty").mkdir()
+    with claimed(tmp_path / "empty", "Walk", new=True):
+        pass
+    assert (tmp_path / "empty").is_dir()
+
+
+def test_two_runs_that_start_in_the_same_second_have_two_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Stopped(datetime):
+        @classmethod
+        def now(cls, tz: Any = None) -> Stopped:
+            return cls(2026, 1, 2, 3, 4, 5)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run_folder, "datetime", Stopped)
+    with claimed(None, "Walk", new=True) as first, claimed(None, "Walk", new=True) as second:
+        assert first == Path("logs/Walk/2026-01-02_03-04-05")
+        assert second == Path("logs/Walk/2026-01-02_03-04-05_2")
+    assert list(tmp_path.iterdir()) == []
