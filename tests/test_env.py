@@ -190,9 +190,9 @@ def test_nothing_that_only_a_simulator_knows_reaches_the_actor(make_stage1: Call
     assert after["actor"].equal(before["actor"])
     start = 0
     critic = env.observations.groups["critic"]
-    for name, width in critic.widths.items():
+    for name, (width,) in critic.term_shapes.items():
         changed = not after["critic"][:, start : start + width].equal(before["critic"][:, start : start + width])
-        assert changed == (name not in env.observations.groups["actor"].widths), name
+        assert changed == (name not in env.observations.groups["actor"].term_shapes), name
         start += width
 
 
@@ -200,13 +200,13 @@ def test_the_actor_sees_five_steps_of_what_the_robot_measures_and_does(
     make_stage1: Callable[..., ManagerBasedRlEnv],
 ) -> None:
     env = make_stage1(2, few_tiles)
-    assert env.observations.groups["actor"].widths == {
-        "base_ang_vel": 3,
-        "projected_gravity": 3,
-        "velocity_command": 3,
-        "joint_pos_rel": J,
-        "joint_vel": J,
-        "last_action": J,
+    assert env.observations.groups["actor"].term_shapes == {
+        "base_ang_vel": (3,),
+        "projected_gravity": (3,),
+        "velocity_command": (3,),
+        "joint_pos_rel": (J,),
+        "joint_vel": (J,),
+        "last_action": (J,),
     }
     assert env.get_observations()["actor"].shape == (2, 5 * 96)
     assert env.get_observations()["critic"].shape == (2, 96 + 3 + 2 + 2 + 2 + 1 + 49)
@@ -363,7 +363,10 @@ def test_a_description_names_every_term(make_stage1: Callable[..., ManagerBasedR
     ("change", "message"),
     [
         (lambda cfg: setattr(cfg, "num_envs", 0), "num_envs 0 must be at least 1"),
-        (lambda cfg: setattr(cfg, "episode_length_s", 0.0), "episode_length_s and sim.timestep must be positive"),
+        (lambda cfg: setattr(cfg, "episode_length_s", 0.0), "episode_length_s is 0 s; it must be finite and at least one"),
+        (lambda cfg: setattr(cfg, "episode_length_s", 0.005), "episode_length_s is 0.005 s; .* control step of 0.02 s"),
+        (lambda cfg: setattr(cfg, "episode_length_s", float("nan")), "episode_length_s is nan s"),
+        (lambda cfg: setattr(cfg.sim, "timestep", float("inf")), "sim.timestep must be positive and finite"),
         (lambda cfg: setattr(cfg.sim, "decimation", 0), "sim.decimation at least 1"),
         (lambda cfg: cfg.rewards.pitch.params.update(share=1.0), "reward 'pitch': parameter 'share' does not exist"),
     ],
