@@ -363,7 +363,10 @@ def test_a_description_names_every_term(make_stage1: Callable[..., ManagerBasedR
     ("change", "message"),
     [
         (lambda cfg: setattr(cfg, "num_envs", 0), "num_envs 0 must be at least 1"),
-        (lambda cfg: setattr(cfg, "episode_length_s", 0.0), "episode_length_s is 0 s; it must be finite and at least one"),
+        (
+            lambda cfg: setattr(cfg, "episode_length_s", 0.0),
+            "episode_length_s is 0 s; it must be finite and at least one",
+        ),
         (lambda cfg: setattr(cfg, "episode_length_s", 0.005), "episode_length_s is 0.005 s; .* control step of 0.02 s"),
         (lambda cfg: setattr(cfg, "episode_length_s", float("nan")), "episode_length_s is nan s"),
         (lambda cfg: setattr(cfg.sim, "timestep", float("inf")), "sim.timestep must be positive and finite"),

@@ -157,7 +157,9 @@ def test_a_term_of_the_wrong_shape_is_named(env):
     def flat(env):
         return env.zeros()
 
-    with pytest.raises(UserError, match=r"observation 'actor\.flat' returned shape \(4,\); it must be \(4, d\) or \(4, C, "):
+    with pytest.raises(
+        UserError, match=r"observation 'actor\.flat' returned shape \(4,\); it must be \(4, d\) or \(4, C, "
+    ):
         manager(env, flat=ObservationTermCfg(flat))
 
 
