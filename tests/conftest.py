@@ -13,7 +13,7 @@ from torch import Tensor
 
 from humoslope.cli import main
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.managers import Log, Terms
+from humoslope.managers import FiniteWatch, Log, Terms
 from humoslope.registry import build_task, load_content
 
 torch.set_num_threads(1)
@@ -48,7 +48,9 @@ def make_env() -> Callable[..., FakeEnv]:
     def make(num_envs: int = 4, **attributes: object) -> FakeEnv:
         torch.manual_seed(0)
         cfg = SimpleNamespace(episode_length_s=10.0, curriculum=Terms())
-        return FakeEnv(num_envs=num_envs, cfg=cfg, log=Log(torch.device("cpu")), **attributes)
+        device = torch.device("cpu")
+        defaults = {"cfg": cfg, "log": Log(device), "finite": FiniteWatch(num_envs, device)}
+        return FakeEnv(num_envs=num_envs, **(defaults | attributes))
 
     return make
 

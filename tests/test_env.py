@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,7 +15,14 @@ from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.managers import Terms
+from humoslope.managers import (
+    ObservationGroupCfg,
+    ObservationTermCfg,
+    RewardTermCfg,
+    StatefulTerm,
+    TerminationTermCfg,
+    Terms,
+)
 from humoslope.registry import build_task
 from humoslope.sim import divergence
 from humoslope.terrain import TerrainGridCfg
@@ -53,7 +61,7 @@ def undisturbed(cfg: EnvCfg) -> None:
 # The physics
 
 
-def test_a_world_moves_bit_for_bit_as_in_plain_mujoco(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
+def test_an_env_moves_bit_for_bit_as_in_plain_mujoco(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
     env = make_stage1(4, undisturbed)
     env.tiles.set_level(torch.tensor([0, 1, 2, 2]))
     env._restart(all_of(env))
@@ -98,6 +106,207 @@ def test_the_same_seed_gives_the_same_trajectory_and_another_seed_another(
     assert all(a.equal(b) for a, b in zip(first, again, strict=True))
     assert not first[0].equal(other[0])
     assert not first[-4].equal(other[-4])
+
+
+def starting(cfg: EnvCfg) -> None:
+    """Nothing random but the start, with the soles pressed into the ground, carried by the harness."""
+    few_tiles(cfg)
+    cfg.events = Terms(root=cfg.events.root, joints=cfg.events.joints, harness=cfg.events.harness)
+    cfg.events.root.params["lift"] = -0.01
+    cfg.events.joints.params.update(position=(-0.2, 0.2), velocity=(-1.0, 1.0))
+    cfg.episode_length_s = 0.1
+
+
+def test_an_episode_starts_with_readings_and_wrench_of_its_state_under_the_held_targets(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    env = make_stage1(4, starting)
+    model, robot = env.sim.model, env.robot
+    root, torso = model.body(robot.root_body).id, model.body(robot.torso_body).id
+    qpos, qvel, wrench = (env.sim.state(field) for field in ("qpos", "qvel", "xfrc_applied"))
+    for episode in range(2):
+        datas = [mujoco.MjData(model) for _ in range(4)]
+        touching = 0
+        for world, data in enumerate(datas):
+            data.qpos, data.qvel, data.ctrl = qpos[world].numpy(), qvel[world].numpy(), robot.default_joint_pos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_comVel(model, data)
+            spin = np.zeros(6)
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, torso, spin, 0)
+            lean = np.cross(data.xmat[torso].reshape(3, 3)[:, 2], [0.0, 0.0, 1.0])
+            data.xfrc_applied[root, 2] = 0.35 * robot.total_mass * 9.81
+            data.xfrc_applied[torso, 3:5] = (120.0 * lean - 3.0 * spin[:3])[:2]
+            np.testing.assert_allclose(wrench[world].numpy(), data.xfrc_applied, atol=1e-3)
+            data.xfrc_applied = wrench[world].numpy()
+            mujoco.mj_forward(model, data)
+            np.testing.assert_allclose(env.signals.joint_torque[world].numpy(), data.actuator_force, atol=1e-3)
+            for side in (0, 1):
+                force = data.sensor(f"foot_force_w/{('left', 'right')[side]}").data
+                np.testing.assert_allclose(env.signals.foot_force_w[world, side].numpy(), force, rtol=1e-4, atol=1e-3)
+                touching += np.linalg.norm(force) > 1.0
+        assert touching > 0
+        env.step(torch.zeros(4, J))
+        for world, data in enumerate(datas):  # the whole first control step went by in that wrench
+            mujoco.mj_step(model, data, env.cfg.sim.decimation)
+            np.testing.assert_allclose(qpos[world].numpy(), data.qpos, atol=1e-6)
+        for step in range(4):
+            _, _, failed, ended = env.step(noise(env, step))
+        assert (failed | ended).all(), episode
+
+
+# The order of a step
+
+
+def test_a_step_goes_through_its_parts_in_the_documented_order(
+    make_stage1: Callable[..., ManagerBasedRlEnv], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env, called = make_stage1(2, few_tiles), []
+    env.enable_terminal_observations()
+    parts = {
+        "process": (env.actions, "process"),
+        "physics": (env.sim, "step"),
+        "signals": (env.signals, "refresh"),
+        "terminations": (env.terminations, "compute"),
+        "rewards": (env.rewards, "compute"),
+        "events": (env.events, "step"),
+        "terminal": (env.observations, "terminal"),
+        "curriculum": (env.curriculum, "step"),
+        "curriculum ends": (env.curriculum, "reset"),
+        "reset": (env.sim, "reset"),
+        "commands": (env.commands, "step"),
+        "observations": (env.observations, "compute"),
+    }
+
+    def noting(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            called.append(name)
+            return method(*args)
+
+        return call
+
+    for name, (owner, method) in parts.items():
+        monkeypatch.setattr(owner, method, noting(name, getattr(owner, method)))
+    env.observers.append(lambda env: called.append("observers"))
+    before = ["process", "physics", "signals", "terminations", "rewards", "observers", "events"]
+    env.step(noise(env, 0))
+    assert called == [*before, "curriculum", "commands", "observations"]
+    called.clear()
+    env.episode_length_buf[0] = env.max_episode_length - 1
+    env.step(noise(env, 1))
+    ends = ["terminal", "curriculum", "curriculum ends", "reset", "signals"]
+    assert called == [*before, *ends, "commands", "observations"]
+
+
+def test_observers_see_the_end_of_an_episode_before_it_is_reset(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    env, seen = make_stage1(2, few_tiles), []
+
+    def observe(env: ManagerBasedRlEnv) -> None:
+        seen.append((env.episode_length_buf.tolist(), env.terminations.time_outs.tolist(), env.rewards.last.clone()))
+
+    env.observers.append(observe)
+    env.episode_length_buf[1] = env.max_episode_length - 1
+    env.step(noise(env, 0))
+    env.step(noise(env, 1))
+    assert [lengths for lengths, _, _ in seen] == [[1, env.max_episode_length], [2, 1]]
+    assert [time_outs for _, time_outs, _ in seen] == [[False, True], [False, False]]
+    assert (seen[0][2] != 0.0).any(dim=1).all()
+
+
+# Terminal observations
+
+
+def short(cfg: EnvCfg) -> None:
+    """Undisturbed episodes of 0.24 s under a command that holds."""
+    undisturbed(cfg)
+    cfg.episode_length_s = 0.24
+    cfg.command.heading_share = 0.0
+
+
+def endless(cfg: EnvCfg) -> None:
+    """The same, and no episode ever ends."""
+    short(cfg)
+    cfg.terminations = Terms()
+
+
+def test_the_terminal_observation_is_the_one_that_would_have_followed_without_a_reset(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    env, twin = make_stage1(6, short), make_stage1(6, endless)
+    env.enable_terminal_observations()
+    env.episode_length_buf = torch.tensor([0, 3, 3, 7, 7, 11])
+    first, ends = torch.ones(6, dtype=torch.bool), 0
+    for step in range(14):
+        action = noise(env, step)
+        obs, _, failed, ended = env.step(action)
+        uninterrupted, _, _, _ = twin.step(action)
+        done = failed | ended
+        for group in ("actor", "critic"):
+            terminal = env.terminal_observations[group]
+            assert terminal[~done].equal(obs[group][~done])
+            assert terminal[done & first].equal(uninterrupted[group][done & first])
+            assert not terminal[done].isclose(obs[group][done]).all(dim=1).any()
+        ends += int((done & first).sum())
+        first &= ~done
+    assert ends == 6
+
+
+def test_who_asks_for_terminal_observations_gets_the_same_rollout(
+    make_stage1: Callable[..., ManagerBasedRlEnv], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def change(cfg: EnvCfg) -> None:
+        noiseless(cfg)
+        cfg.episode_length_s = 0.1
+
+    env, twin = make_stage1(4, change), make_stage1(4, change)
+    env.enable_terminal_observations()
+    monkeypatch.setattr(twin.observations, "terminal", None)  # whoever does not ask never computes one
+    for step in range(12):
+        results = []
+        for one in (env, twin):
+            torch.manual_seed(step)
+            results.append(one.step(noise(one, step)))
+        for ours, theirs in zip(*results, strict=True):
+            assert bool((ours == theirs).all())
+    assert not hasattr(twin, "terminal_observations")
+
+
+def test_the_terminal_observation_keeps_the_noise_of_the_frames_before_it(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    env = make_stage1(4, few_tiles)
+    env.enable_terminal_observations()
+    for step in range(6):
+        before = env.step(noise(env, step))[0]["actor"]
+    env.episode_length_buf[2] = env.max_episode_length - 1
+    env.step(noise(env, 6))
+    start = 0
+    for (width,) in env.observations.groups["actor"].term_shapes.values():
+        frames = slice(start, start + 4 * width), slice(start + width, start + 5 * width)
+        assert env.terminal_observations["actor"][2, frames[0]].equal(before[2, frames[1]])
+        start += 5 * width
+
+
+def test_a_diverged_env_has_no_terminal_observation_but_finite_values(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    env = make_stage1(4, noiseless)
+    env.enable_terminal_observations()
+    env.step(noise(env, 0))
+    env.sim.state("qvel")[1, 8] = torch.nan
+    obs, _, failed, _ = env.step(noise(env, 1))
+    assert failed.tolist() == [False, True, False, False]
+    assert all(env.terminal_observations[group].equal(obs[group]) for group in ("actor", "critic"))
+
+
+def test_terminal_observations_go_on_after_a_state_was_loaded(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
+    env = make_stage1(2, noiseless)
+    env.enable_terminal_observations()
+    env.step(noise(env, 0))
+    env.load_state_dict(env.state_dict())
+    assert env.terminal_observations["actor"].equal(env.get_observations()["actor"])
 
 
 # What is seen
@@ -190,9 +399,9 @@ def test_nothing_that_only_a_simulator_knows_reaches_the_actor(make_stage1: Call
     assert after["actor"].equal(before["actor"])
     start = 0
     critic = env.observations.groups["critic"]
-    for name, width in critic.widths.items():
+    for name, (width,) in critic.term_shapes.items():
         changed = not after["critic"][:, start : start + width].equal(before["critic"][:, start : start + width])
-        assert changed == (name not in env.observations.groups["actor"].widths), name
+        assert changed == (name not in env.observations.groups["actor"].term_shapes), name
         start += width
 
 
@@ -200,19 +409,19 @@ def test_the_actor_sees_five_steps_of_what_the_robot_measures_and_does(
     make_stage1: Callable[..., ManagerBasedRlEnv],
 ) -> None:
     env = make_stage1(2, few_tiles)
-    assert env.observations.groups["actor"].widths == {
-        "base_ang_vel": 3,
-        "projected_gravity": 3,
-        "velocity_command": 3,
-        "joint_pos_rel": J,
-        "joint_vel": J,
-        "last_action": J,
+    assert env.observations.groups["actor"].term_shapes == {
+        "base_ang_vel": (3,),
+        "projected_gravity": (3,),
+        "velocity_command": (3,),
+        "joint_pos_rel": (J,),
+        "joint_vel": (J,),
+        "last_action": (J,),
     }
     assert env.get_observations()["actor"].shape == (2, 5 * 96)
     assert env.get_observations()["critic"].shape == (2, 96 + 3 + 2 + 2 + 2 + 1 + 49)
 
 
-# Worlds that go wrong
+# Envs that go wrong
 
 BROKEN = {
     "nan_velocity": ("qvel", torch.nan),
@@ -224,7 +433,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("accident", BROKEN)
-def test_a_world_that_diverges_is_reset_counted_and_kept_for_a_look_and_the_others_go_on(
+def test_an_env_that_diverges_is_reset_counted_and_kept_for_a_look_and_the_others_go_on(
     make_stage1: Callable[..., ManagerBasedRlEnv], accident: str
 ) -> None:
     env, twin = make_stage1(8, noiseless), make_stage1(8, noiseless)
@@ -271,6 +480,147 @@ def test_a_world_that_diverges_is_reset_counted_and_kept_for_a_look_and_the_othe
     assert env.take_divergence() is None
 
 
+def test_values_that_are_not_finite_are_reported_by_name_and_the_look_starts_anew(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    poison = torch.zeros(4)
+
+    def change(cfg: EnvCfg) -> None:
+        few_tiles(cfg)
+        cfg.rewards.ratio = RewardTermCfg(lambda env: poison / poison, weight=0.1)
+        cfg.observations.critic.terms.load = ObservationTermCfg(lambda env: (poison / poison)[:, None])
+
+    poison += 1.0
+    env = make_stage1(4, change)
+    for step in range(3):
+        env.step(noise(env, step))
+    assert env.non_finite() == []
+    env.step(noise(env, 3))
+    poison[1:3] = 0.0
+    env.step(noise(env, 4))
+    action = noise(env, 5)
+    action[0, 3] = torch.inf
+    env.step(action)
+    poison += 1.0
+    env.step(noise(env, 6))
+    assert sorted(env.non_finite()) == [
+        "observation 'critic.load' was not finite in 2 of 4 envs (first in step 2 since the last look)",
+        "reward 'ratio' was not finite in 2 of 4 envs (first in step 2 since the last look)",
+        "the action was not finite in 1 of 4 envs (first in step 3 since the last look)",
+    ]
+    env.step(noise(env, 7))
+    assert env.non_finite() == []
+
+
+def test_a_term_that_is_not_finite_in_a_diverged_env_alone_is_no_fault(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    def upright(env: ManagerBasedRlEnv) -> Tensor:  # 0/0 for the zeros that a diverged env reads
+        quat = env.signals.root_quat_w
+        return quat[:, 0] / quat.norm(dim=1)
+
+    def change(cfg: EnvCfg) -> None:
+        few_tiles(cfg)
+        cfg.rewards.upright = RewardTermCfg(upright)
+        cfg.observations.critic.terms.upright = ObservationTermCfg(lambda env: upright(env)[:, None])
+
+    env = make_stage1(4, change)
+    env.sim.state("qvel")[1, 8] = torch.nan
+    _, reward, failed, _ = env.step(noise(env, 0))
+    assert failed.tolist() == [False, True, False, False]
+    assert reward.isfinite().all()
+    env.step(noise(env, 1))
+    assert env.non_finite() == []
+    assert all(np.isfinite(list(env.log.flush().values())))
+
+
+def test_a_look_may_be_taken_in_inference_mode_and_outside(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
+    env = make_stage1(2, few_tiles)
+    with torch.inference_mode():
+        env.step(noise(env, 0))
+        assert env.non_finite() == []
+        env.step(noise(env, 1))
+    assert env.non_finite() == []
+    env.step(noise(env, 2))
+
+
+# Episodes
+
+
+def test_the_logged_length_is_what_episodes_lived_though_a_learner_lets_the_first_ones_begin_late(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    def change(cfg: EnvCfg) -> None:
+        undisturbed(cfg)
+        cfg.episode_length_s = 0.2
+
+    env = make_stage1(4, change)
+    env.episode_length_buf = torch.tensor([0, 8, 6, 6])
+    for step in range(9):
+        env.step(noise(env, step))
+    logged = env.log.flush()
+    assert logged["Train/episode_length"] == pytest.approx((2 + 4 + 4) / 3)
+    assert not any(name.startswith("Termination/") for name in logged)  # cut short by the learner alone
+    env.step(noise(env, 9))  # env 0 has lived all its time
+    logged = env.log.flush()
+    assert logged["Train/episode_length"] == 10.0
+    assert logged["Termination/time_out"] == 1.0
+    assert logged["Termination/tilted"] == 0.0
+
+
+class Calls(StatefulTerm):
+    """Number of calls since the reset."""
+
+    def __init__(self, env: ManagerBasedRlEnv) -> None:
+        self.calls = env.zeros()
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        self.calls = self.calls + 1.0
+        return self.calls
+
+    def reset(self, mask: Tensor) -> None:
+        self.calls = self.calls.masked_fill(mask, 0.0)
+
+
+class CallColumn(Calls):
+    """The same as an observation."""
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        return super().__call__(env)[:, None]
+
+
+class FourthCall(Calls):
+    """A termination after four steps."""
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        return super().__call__(env) >= 4.0
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_an_episode_takes_the_memory_of_every_term_with_it(
+    make_stage1: Callable[..., ManagerBasedRlEnv], terminal: bool
+) -> None:
+    def change(cfg: EnvCfg) -> None:
+        undisturbed(cfg)
+        cfg.rewards = Terms(calls=RewardTermCfg(Calls))
+        cfg.observations = Terms(actor=ObservationGroupCfg(Terms(calls=ObservationTermCfg(CallColumn))))
+        cfg.terminations = Terms(fourth=TerminationTermCfg(FourthCall))
+
+    env = make_stage1(2, change)
+    if terminal:
+        env.enable_terminal_observations()
+    seen = []
+    for step in range(9):
+        obs, _, failed, _ = env.step(noise(env, step))
+        seen.append((obs["actor"][0, 0].item(), env.rewards.last[0, 0].item(), failed[0].item()))
+    # The first observation comes from the start, so in the first episode there is one call more before each step.
+    observed, rewarded, failed_in = zip(*seen, strict=True)
+    assert rewarded == (1.0, 2.0, 3.0, 4.0, 1.0, 2.0, 3.0, 4.0, 1.0)
+    assert failed_in == (False, False, False, True) * 2 + (False,)
+    assert observed[3:7] == (1.0, 2.0, 3.0, 4.0)
+    assert env.log.flush()["Termination/fourth"] == 1.0
+
+
 def test_a_policy_that_gives_nan_harms_nothing(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
     env = make_stage1(2, few_tiles)
     obs, reward, _, _ = env.step(torch.full((2, J), torch.nan))
@@ -282,7 +632,7 @@ def test_a_policy_that_gives_nan_harms_nothing(make_stage1: Callable[..., Manage
 # Checkpoints
 
 
-def test_harness_and_levels_come_back_from_a_state_and_all_worlds_start_on_their_tiles(
+def test_harness_and_levels_come_back_from_a_state_and_all_envs_start_on_their_tiles(
     make_stage1: Callable[..., ManagerBasedRlEnv],
 ) -> None:
     env = make_stage1(8, few_tiles)
@@ -363,7 +713,13 @@ def test_a_description_names_every_term(make_stage1: Callable[..., ManagerBasedR
     ("change", "message"),
     [
         (lambda cfg: setattr(cfg, "num_envs", 0), "num_envs 0 must be at least 1"),
-        (lambda cfg: setattr(cfg, "episode_length_s", 0.0), "episode_length_s and sim.timestep must be positive"),
+        (
+            lambda cfg: setattr(cfg, "episode_length_s", 0.0),
+            "episode_length_s is 0 s; it must be finite and at least one",
+        ),
+        (lambda cfg: setattr(cfg, "episode_length_s", 0.005), "episode_length_s is 0.005 s; .* control step of 0.02 s"),
+        (lambda cfg: setattr(cfg, "episode_length_s", float("nan")), "episode_length_s is nan s"),
+        (lambda cfg: setattr(cfg.sim, "timestep", float("inf")), "sim.timestep must be positive and finite"),
         (lambda cfg: setattr(cfg.sim, "decimation", 0), "sim.decimation at least 1"),
         (lambda cfg: cfg.rewards.pitch.params.update(share=1.0), "reward 'pitch': parameter 'share' does not exist"),
     ],

@@ -1,4 +1,4 @@
-"""The environment: many worlds of one robot on one terrain, driven by managers."""
+"""The environment: many envs of one robot on one terrain, driven by managers."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from humoslope.managers import (
     CurriculumManager,
     EventManager,
     EventTermCfg,
+    FiniteWatch,
     JointPositionActionCfg,
     Log,
     ObservationGroupCfg,
@@ -33,6 +34,7 @@ from humoslope.managers import (
     TerminationTermCfg,
     Terms,
     VelocityCommandCfg,
+    control_steps,
 )
 from humoslope.scene.height_scan import HeightScan, HeightScanCfg
 from humoslope.scene.robot import Robot
@@ -54,9 +56,10 @@ class SimCfg(StrictCfg):
         timestep: Physics step, s.
         decimation: Physics steps per control step.
         cone: Friction cone. The pyramidal one is faster, but its friction depends on direction.
-        backend: "warp" for CUDA, "native" for the CPU; "auto" chooses.
-        device: Where the tensors live: "auto", "cpu", "cuda" or "cuda:N".
-        nconmax, njmax: Contacts and constraint rows per world; warp only.
+        backend: "warp" for CUDA, "native" for the CPU, "auto" for the one that fits the device.
+        device: Device of all tensors: "auto", "cpu", "cuda" or "cuda:N".
+        nconmax: Room for contacts per env; warp only.
+        njmax: Room for constraint rows per env; warp only.
     """
 
     timestep: float = 0.005
@@ -70,7 +73,13 @@ class SimCfg(StrictCfg):
 
 @dataclass
 class SceneCfg(StrictCfg):
-    """The robot, the ground it walks on, and what is scanned of it."""
+    """The robot and its surroundings.
+
+    Attributes:
+        robot: Robot of every env.
+        terrain: Ground that all envs share.
+        height_scan: Points of the ground that are scanned around each robot.
+    """
 
     robot: Robot
     terrain: TerrainGridCfg | TileRowCfg
@@ -79,7 +88,22 @@ class SceneCfg(StrictCfg):
 
 @dataclass
 class EnvCfg(StrictCfg):
-    """Everything that defines an environment."""
+    """Everything that defines an environment.
+
+    Attributes:
+        scene: Robot and terrain.
+        sim: Physics.
+        num_envs: Number of envs (robots), stepped together.
+        episode_length_s: Longest duration of an episode, s.
+        seed: Seed of torch's generator, from which all random numbers of the environment come.
+        actions: Action scale.
+        command: Velocity command.
+        observations: Observation groups.
+        rewards: Reward terms.
+        terminations: Reasons to end an episode.
+        events: Randomisation, resets and disturbances.
+        curriculum: Curricula.
+    """
 
     scene: SceneCfg
     sim: SimCfg = field(default_factory=SimCfg)
@@ -96,20 +120,39 @@ class EnvCfg(StrictCfg):
 
 
 class ManagerBasedRlEnv:
-    """Steps all worlds at once; a world whose episode ends is reset within the step.
+    """Environment of N envs that are stepped together; an env whose episode ends is reset within the step.
 
-    Nothing in `step` waits for the device: managers and terms work on all worlds, with masks.
+    Nothing in `step` waits for the device: managers and terms work on all envs, with masks.
+
+    A reset works on rows of three tensors that exist while reset events run: `start_qpos` [N, nq] and `start_qvel`
+    [N, nv], which begin as the robot's default pose at rest in the world's origin, and `start_wrench` [N, bodies, 6],
+    external force and torque on each body in the world frame, which begins as zero. Reset events write into them;
+    then the envs in question start from them, with the default pose as joint targets.
+
+    Attributes:
+        episode_length_buf: [N] control steps of the episode, as counted for time-outs. A learner may write it to
+            spread the time-outs of the first episodes.
+        steps_since_reset: [N] control steps since the last reset.
+        max_episode_length: Control steps of the longest episode.
+        step_dt: Duration of a control step, s.
+        start_root_pos_w: [N, 3] position of the root at the start of the episode, m.
+        diverged: [N] bool; envs whose physics failed numerically in the last step.
+        observers: Functions called in every step with the environment, see `step`.
+        terminal_observations: See `enable_terminal_observations`.
     """
+
+    terminal_observations: TensorDict
 
     def __init__(self, cfg: EnvCfg) -> None:
         if cfg.num_envs < 1:
             raise UserError(f"num_envs {cfg.num_envs} must be at least 1.")
-        positive = 0.0 < cfg.episode_length_s < math.inf and 0.0 < cfg.sim.timestep < math.inf
-        if not positive or cfg.sim.decimation < 1:
-            raise UserError("episode_length_s and sim.timestep must be positive, sim.decimation at least 1.")
+        if not 0.0 < cfg.sim.timestep < math.inf or cfg.sim.decimation < 1:
+            raise UserError("sim.timestep must be positive and finite, sim.decimation at least 1.")
         self.cfg = cfg
         self.robot = cfg.scene.robot
         self.num_envs = cfg.num_envs
+        self.step_dt = cfg.sim.timestep * cfg.sim.decimation
+        self.max_episode_length = control_steps("episode_length_s", cfg.episode_length_s, self.step_dt)
         terrain = cfg.scene.terrain.build()
         self.sim = make_simulation(
             build_model(self.robot, terrain, cfg.sim.timestep, cfg.sim.cone),
@@ -121,10 +164,11 @@ class ManagerBasedRlEnv:
         )
         self.device = self.sim.device
         torch.manual_seed(cfg.seed)
-        self.step_dt = cfg.sim.timestep * cfg.sim.decimation
-        self.max_episode_length = round(cfg.episode_length_s / self.step_dt)
-        self.episode_length_buf = self.zeros(dtype=torch.int64)  # [N] control steps, name as rsl_rl wants it
+        self.episode_length_buf = self.zeros(dtype=torch.int64)  # named as rsl_rl expects
+        self.steps_since_reset = self.zeros(dtype=torch.int64)
         self.log = Log(self.device)
+        self.finite = FiniteWatch(self.num_envs, self.device)
+        self.observers: list[Callable[[ManagerBasedRlEnv], None]] = []
         self.terrain = TerrainQueries(terrain, self.device)
         self.tiles = Tiles(terrain, cfg.num_envs, self.device)
         self.signals = Signals(self.sim, self.robot, self.terrain)
@@ -136,7 +180,9 @@ class ManagerBasedRlEnv:
         self.joint_range = torch.tensor(np.array(ranges), dtype=torch.float32, device=self.device)  # [J, 2] rad
         self._qpos, self._qvel = self.sim.state("qpos"), self.sim.state("qvel")
         self._divergence = DivergenceRecorder(self._qpos, self._qvel)
-        self.diverged = self.zeros(dtype=torch.bool)  # [N] in the last step
+        self.diverged = self.zeros(dtype=torch.bool)
+        self.start_root_pos_w = self.zeros(3)
+        self._keeps_terminal_observations = False
 
         self.commands = CommandManager(self, cfg.command)
         self.actions = ActionManager(self, cfg.actions)
@@ -146,95 +192,159 @@ class ManagerBasedRlEnv:
         self.terminations = TerminationManager(self, cfg.terminations)
         everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._restart(everywhere)
-        self.observers: list[Callable[[ManagerBasedRlEnv], None]] = []  # called after rewards, before resets
         self.observations = ObservationManager(self, cfg.observations)
         self.rewards = RewardManager(self, cfg.rewards)
         self._obs = self.observations.compute(everywhere)
 
     @on_one_thread
     def step(self, action: Tensor, active: Tensor | None = None) -> tuple[TensorDict, Tensor, Tensor, Tensor]:
-        """Advances every world by one control step.
+        """Advances every env by one control step.
+
+        In this order:
+            1. action: joint targets for the whole step;
+            2. physics: `sim.decimation` physics steps; envs that diverged are found;
+            3. signals: everything terms read, all of one instant; envs that diverged read zero;
+            4. terminations;
+            5. rewards;
+            6. observers: see the episode with its terminations and rewards, before anything changes it;
+            7. events: step events, then interval events that are due;
+            8. terminal observation, if enabled;
+            9. curriculum: first its step, then the episodes that end;
+            10. reset of the envs whose episode ended: reset events, state, signals, a new command;
+            11. commands: drawn again where their time is over, steered elsewhere;
+            12. observations, which the next action answers.
 
         Args:
             action: [N, J].
-            active: [N] bool; worlds whose physics matters, all by default (see `Simulation.step`).
+            active: [N] bool; envs whose physics matters, all by default (see `Simulation.step`).
 
         Returns:
             Observations after resets (fresh tensors), reward [N], failures [N] (bool) and time-outs [N] (bool).
         """
+        self.finite.step += 1
         self.actions.process(action)
-        self.sim.step(self.cfg.sim.decimation, active)
-        self.diverged = broken = self.sim.diverged()
-        self._divergence.add(self._qpos, self._qvel)
-        whole = self.sim.known_empty(broken)
-        if not whole:
-            self._divergence.keep(broken)
-        self.signals.refresh(None if whole else broken)
-        self.episode_length_buf = self.episode_length_buf + 1  # the log keeps the old one
 
-        done = self.terminations.compute() | broken
-        terminated, time_outs = self.terminations.terminated | broken, self.terminations.time_outs & ~broken
-        reward = torch.where(broken, 0.0, self.rewards.compute(self.step_dt))
-        self.log.add("Train/episode_length", self.episode_length_buf, done)
-        self.log.add("Train/diverged", broken)
+        self.sim.step(self.cfg.sim.decimation, active)
+        self.diverged = self.sim.diverged()
+        self._divergence.add(self._qpos, self._qvel)
+        diverged = None if self.sim.known_empty(self.diverged) else self.diverged
+        if diverged is not None:
+            self._divergence.keep(diverged)
+
+        self.signals.refresh(diverged)
+        # Not in place: the log and the learner keep the old tensor.
+        self.episode_length_buf = self.episode_length_buf + 1
+        self.steps_since_reset = self.steps_since_reset + 1
+
+        done = self.terminations.compute() | self.diverged
+        terminated = self.terminations.terminated | self.diverged
+        time_outs = self.terminations.time_outs & ~self.diverged
+
+        reward = self.rewards.compute(self.step_dt, diverged)
+
+        self.log.add("Train/episode_length", self.steps_since_reset, done)
+        self.log.add("Train/diverged", self.diverged)
         self.log.add("Train/falls_per_second", terminated / self.step_dt)
         self.log.add("Train/speed", self.signals.root_lin_vel_t[:, 0], self.commands.moving)
         for observe in self.observers:
             observe(self)
-        self.events.step(self.step_dt)
-        self._reset(done)
-        self.commands.step(self.step_dt)
+
+        self.events.step()
+
+        terminal = self._terminal_observations(done)
+        self.curriculum.step()
+        if not self.sim.known_empty(done):
+            self._reset(done)
+        self.commands.step()
         self._obs = self.observations.compute(done)
+        if self._keeps_terminal_observations:
+            self.terminal_observations = self._obs if terminal is None else self._where_ended(terminal, done)
         return self._obs, reward, terminated, time_outs
 
     def get_observations(self) -> TensorDict:
-        """The observations of the last step or reset."""
+        """Returns the observations of the last step or reset."""
         return self._obs
 
+    def enable_terminal_observations(self) -> None:
+        """Makes every later `step` set `terminal_observations`, for learners that bootstrap from the last state.
+
+        It then holds, for envs whose episode ended in the step, the observation at its end: of the state before the
+        reset, under the command that held, history and noise included. For all other envs it holds the values that
+        `step` returned. An env that diverged has no last state with a meaning; it counts among the others.
+        """
+        self._keeps_terminal_observations = True
+        self.terminal_observations = self._obs
+
+    def _terminal_observations(self, done: Tensor) -> TensorDict | None:
+        """Observations before the reset, or None where they are not wanted or no episode is known to end."""
+        if not self._keeps_terminal_observations or self.sim.known_empty(done):
+            return None
+        return self.observations.terminal()
+
+    def _where_ended(self, terminal: TensorDict, done: Tensor) -> TensorDict:
+        """`terminal` in the envs whose episode ended with a meaningful state, the present observations elsewhere."""
+        ended = done & ~self.diverged
+        groups = {
+            name: torch.where(ended.view(-1, *[1] * len(group.shape)), terminal[name], self._obs[name])
+            for name, group in self.observations.groups.items()
+        }
+        return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
+
+    def non_finite(self) -> list[str]:
+        """Returns a sentence per reward, observation term or action that was NaN or infinite since the last call.
+
+        Envs whose physics diverged do not count: they are reset, and their signals read zero. Waits for the device.
+        """
+        return self.finite.report()
+
     def _reset(self, mask: Tensor) -> None:
+        """Ends the episodes of the envs in `mask` [N] and starts new ones."""
         self.curriculum.reset(mask)
-        if self.sim.known_empty(mask):
-            return
         self.rewards.reset(mask)
-        self.terminations.reset(mask)
+        # The reason for which an episode ended says little if the learner let it begin late: at first all would time
+        # out early, however well they walked.
+        self.terminations.reset(mask, self.steps_since_reset == self.episode_length_buf)
         self.observations.reset(mask)
         self._restart(mask)
 
     def _restart(self, mask: Tensor) -> None:
-        """Puts the worlds in `mask` at the start of an episode. Reset events write `start_qpos` and `start_qvel`."""
+        """Puts the envs in `mask` [N] at the start of an episode."""
         self.start_qpos = self._default_qpos.repeat(self.num_envs, 1)
         self.start_qvel = torch.zeros_like(self._qvel, dtype=torch.float32)
+        self.start_wrench = self.zeros(self.sim.model.nbody, 6)
         self.events.reset(mask)
-        self.sim.reset(mask, self.start_qpos, self.start_qvel)
+        self.sim.reset(mask, self.start_qpos, self.start_qvel, self.actions.default_ctrl, self.start_wrench)
+        self.start_root_pos_w = torch.where(mask[:, None], self.start_qpos[:, :3], self.start_root_pos_w)
         self.actions.reset(mask)
         self.signals.refresh()
         self.commands.reset(mask)
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
+        self.steps_since_reset = self.steps_since_reset.masked_fill(mask, 0)
 
     def take_divergence(self) -> tuple[Tensor, Tensor] | None:
-        """qpos [K, nq] and qvel [K, nv] before the first divergence since the last call, or None.
+        """Returns qpos [K, nq] and qvel [K, nv] before the first divergence since the last call, or None.
         Waits for the device."""
         return self._divergence.take()
 
     def zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-        """A zero tensor [N, *shape] on the environment's device."""
+        """Returns a zero tensor [N, *shape] on the environment's device."""
         return torch.zeros(self.num_envs, *shape, dtype=dtype, device=self.device)
 
     def uniform(self, low: float, high: float, *shape: int) -> Tensor:
-        """Uniform random numbers [N, *shape]."""
+        """Returns uniform random numbers [N, *shape]."""
         return torch.empty(self.num_envs, *shape, device=self.device).uniform_(low, high)
 
     def body_id(self, name: str) -> int:
-        """The id of a body of the model."""
+        """Returns the id of a body of the model, -1 if there is none."""
         return int(mujoco.mj_name2id(self.sim.model, mujoco.mjtObj.mjOBJ_BODY, name))
 
     def state_dict(self) -> dict[str, Any]:
-        """What a resumed run needs of the environment: the curriculum's state."""
+        """Returns the state that a resumed run needs: the curriculum's."""
         return {"curriculum": self.curriculum.state_dict(), "level": self.tiles.level.cpu()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues from `state_dict`.
-        Worlds are spread over the saved levels if their number differs; all episodes start anew."""
+        """Continues from `state_dict`, with new episodes in all envs.
+        If the number of envs differs, they are spread over the saved levels."""
         level = state["level"].to(self.device)
         index = torch.arange(self.num_envs, device=self.device) * len(level) // self.num_envs
         self.tiles.set_level(level[index].clamp(max=self.tiles.num_levels - 1))
@@ -242,6 +352,8 @@ class ManagerBasedRlEnv:
         everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._restart(everywhere)
         self._obs = self.observations.compute(everywhere)
+        if self._keeps_terminal_observations:
+            self.terminal_observations = self._obs
 
     def describe(self, console: Console) -> None:
         """Prints a table of every manager."""

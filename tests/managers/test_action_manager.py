@@ -38,8 +38,7 @@ def test_the_last_two_actions_are_remembered_until_the_world_starts_anew(env, ma
     actions.reset(mask(N, 1))
     assert actions.action[:, 0].tolist() == [2.0, 0.0, 2.0]
     assert actions.previous_action[:, 0].tolist() == [1.0, 0.0, 1.0]
-    torch.testing.assert_close(env.ctrl[1].float(), DEFAULT)
-    torch.testing.assert_close(env.ctrl[0].float(), DEFAULT + 2.0 * SCALE)
+    torch.testing.assert_close(actions.default_ctrl, DEFAULT.expand(N, J))  # written by the simulation's reset
 
 
 def test_a_policy_that_diverged_writes_no_nan_into_the_physics(env):
@@ -63,7 +62,16 @@ def test_actions_are_not_clipped(env):
     torch.testing.assert_close(env.ctrl.float(), (DEFAULT + 6.0 * SCALE).expand(N, J))
 
 
-@pytest.mark.parametrize("factor", [0.0, -1.0])
-def test_a_scale_that_moves_nothing_is_refused(env, factor):
-    with pytest.raises(UserError, match="scale_factor .* must be positive"):
+def test_an_action_that_is_not_finite_is_reported(env):
+    actions = ActionManager(env, JointPositionActionCfg())
+    actions.process(torch.zeros(N, J))
+    assert env.finite.report() == []
+    env.finite.step = 5
+    actions.process(torch.tensor([[torch.nan, torch.inf], [-torch.inf, 1.0], [0.0, 1e30]]))
+    assert env.finite.report() == ["the action was not finite in 2 of 3 envs (first in step 5 since the last look)"]
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_scale_that_moves_nothing_or_anything_is_refused(env, factor):
+    with pytest.raises(UserError, match="scale_factor is .*; it must be positive"):
         ActionManager(env, JointPositionActionCfg(scale_factor=factor))

@@ -1,4 +1,4 @@
-"""Curricula look at the episodes that end, and are part of the checkpoint."""
+"""Curricula are stepped, see the episodes that end, and are part of the checkpoint."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import pytest
 import torch
 
 from humoslope.errors import UserError
-from humoslope.managers import CurriculumManager, StatefulTerm, TermCfg, Terms
+from humoslope.managers import CurriculumManager, CurriculumTerm, StatefulTerm, TermCfg, Terms
 
 N = 4
 
 
-class Level(StatefulTerm):
+class Level(CurriculumTerm):
     """One level up for each finished episode."""
 
     def __init__(self, env, start=0.0):
         self.level = env.zeros() + start
-        self.forgotten = []
+        self.steps = 0
 
-    def __call__(self, env, mask):
-        self.level = self.level + mask
+    def step(self, env):
+        self.steps += 1
         return self.level
 
     def reset(self, mask):
-        self.forgotten.append(mask)
+        self.level = self.level + mask
 
     def state_dict(self):
         return {"level": self.level.tolist()}
@@ -41,23 +41,55 @@ def env(make_env):
     return make_env(N)
 
 
-def test_a_term_sees_the_worlds_that_end_is_logged_and_then_reset(env, mask):
-    curriculum = CurriculumManager(env, Terms(level=TermCfg(Level, {"start": 1.0}), quiet=TermCfg(quiet)))
+def test_a_term_is_logged_in_every_step_and_sees_the_envs_that_end_in_its_reset(env, mask):
+    curriculum = CurriculumManager(env, Terms(level=TermCfg(Level, {"start": 1.0})))
+    curriculum.step()
     curriculum.reset(mask(N, 0, 1))
-    assert env.log.flush() == {"Curriculum/level": 1.5, "Curriculum/quiet": 2.5}
-    assert curriculum["level"].forgotten[0].equal(mask(N, 0, 1))
+    curriculum.step()
+    assert curriculum["level"].steps == 2
+    assert curriculum["level"].level.tolist() == [2.0, 2.0, 1.0, 1.0]
+    assert env.log.flush() == {"Curriculum/level": 1.25}
 
 
-def test_a_term_may_build_on_one_before_it(env):
-    class Follower(StatefulTerm):
+def test_a_function_is_called_with_the_envs_that_end_and_with_nothing_in_between(env, mask):
+    seen = []
+
+    def difficulty(env, mask, least):
+        seen.append(mask)
+        return torch.tensor(least)
+
+    curriculum = CurriculumManager(env, Terms(difficulty=TermCfg(difficulty, {"least": 2.5})))
+    curriculum.step()
+    assert not seen
+    assert env.log.flush() == {}
+    curriculum.reset(mask(N, 2))
+    assert seen[0].equal(mask(N, 2))
+    assert env.log.flush() == {"Curriculum/difficulty": 2.5}
+
+
+def test_a_class_that_is_no_curriculum_is_refused(env):
+    class Memory(StatefulTerm):
         def __init__(self, env):
-            self.leader = env.curriculum["level"]
+            pass
 
         def reset(self, mask):
             pass
 
-    curriculum = CurriculumManager(env, Terms(level=TermCfg(Level), follower=TermCfg(Follower)))
-    assert curriculum["follower"].leader is curriculum["level"]
+    with pytest.raises(UserError, match="curriculum 'memory': class Memory must derive from CurriculumTerm"):
+        CurriculumManager(env, Terms(memory=TermCfg(Memory)))
+
+
+def test_a_term_without_state_puts_nothing_into_the_checkpoint(env):
+    class Fixed(CurriculumTerm):
+        def __init__(self, env):
+            pass
+
+        def step(self, env):
+            return torch.tensor(1.0)
+
+    curriculum = CurriculumManager(env, Terms(fixed=TermCfg(Fixed)))
+    assert curriculum.state_dict() == {}
+    curriculum.load_state_dict({"fixed": {"level": 1.0}})
 
 
 def test_what_terms_have_to_keep_comes_back(env, mask):

@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from humoslope.errors import UserError
 from humoslope.managers import EventManager, EventTermCfg, StatefulTerm, Terms
@@ -34,7 +36,7 @@ def test_each_event_strikes_in_its_own_mode(env, mask):
     assert env.struck == []
     events.startup()
     events.reset(mask(N, 3))
-    events.step(0.02)
+    events.step()
     assert [name for name, _ in env.struck] == ["once", "anew", "ever"]
     assert [int(struck.sum()) for _, struck in env.struck] == [N, 1, N]
     assert env.struck[1][1][3]
@@ -42,15 +44,15 @@ def test_each_event_strikes_in_its_own_mode(env, mask):
 
 def test_interval_events_strike_each_world_within_their_interval_and_again_and_again(env):
     events = EventManager(env, Terms(push=event("push", mode="interval", interval_s=(0.5, 1.0))))
-    for _ in range(500):
-        events.step(0.01)
+    for _ in range(250):
+        events.step()
     struck = torch.stack([struck for _, struck in env.struck])  # [steps, N]
-    assert len(struck) == 500
+    assert len(struck) == 250
     for world in range(N):
-        times = 0.01 * (struck[:, world].nonzero().flatten() + 1)
+        times = 0.02 * (struck[:, world].nonzero().flatten() + 1)
         gaps = torch.diff(times, prepend=torch.zeros(1))
-        assert gaps.min() >= 0.5 - 0.011
-        assert gaps.max() <= 1.0 + 0.011
+        assert gaps.min() >= 0.5 - 1e-5
+        assert gaps.max() <= 1.0 + 1e-5
         assert len(gaps) >= 4
     first = struck.to(torch.int8).argmax(dim=0)
     assert first.unique().numel() > 10  # not all worlds at once
@@ -59,9 +61,20 @@ def test_interval_events_strike_each_world_within_their_interval_and_again_and_a
 def test_interval_events_are_not_called_where_nobody_is_known_to_be_due(make_env):
     env = make_env(1, struck=[], sim=SimpleNamespace(known_empty=lambda mask: not mask.any()))
     events = EventManager(env, Terms(push=event("push", mode="interval", interval_s=(0.5, 0.5))))
-    for _ in range(110):
-        events.step(0.0102)
+    for step in range(1, 56):
+        events.step()
+        assert len(env.struck) == step // 25
     assert [struck.tolist() for _, struck in env.struck] == [[True]] * 2
+
+
+@given(dt=st.sampled_from([0.004, 0.01, 0.02, 0.1 / 3]), steps=st.integers(1, 400))
+def test_an_interval_counts_whole_control_steps(make_env, dt, steps):
+    env = make_env(2, struck=[], step_dt=dt)
+    events = EventManager(env, Terms(push=event("push", mode="interval", interval_s=(steps * dt, steps * dt))))
+    for _ in range(3 * steps):
+        events.step()
+    struck = torch.stack([struck for _, struck in env.struck])
+    assert (struck[:, 0].nonzero().flatten() + 1).tolist() == [steps, 2 * steps, 3 * steps]
 
 
 def test_stateful_events_are_reset_with_the_worlds_and_can_be_had_by_name(env, mask):
@@ -92,9 +105,20 @@ def test_a_mode_that_does_not_exist_is_refused(env):
         EventManager(env, Terms(push=event("push", mode="sometimes")))
 
 
-@pytest.mark.parametrize("interval", [None, (0.0, 1.0), (2.0, 1.0), (-1.0, 1.0)])
-def test_an_interval_that_is_none_is_refused(env, interval):
-    with pytest.raises(UserError, match="event 'push': interval_s .* must be two positive times, shortest first"):
+@pytest.mark.parametrize(
+    ("interval", "message"),
+    [
+        (None, "None must be two positive durations in s, the shortest first"),
+        ((2.0, 1.0), r"\(2.0, 1.0\) must be two positive durations in s, the shortest first"),
+        ((float("nan"), 1.0), ".* must be two positive durations in s, the shortest first"),
+        ((0.0, 1.0), "is 0 s; it must be finite and at least one control step of 0.02 s"),
+        ((-1.0, 1.0), "is -1 s; it must be finite"),
+        ((0.005, 1.0), "is 0.005 s; it must be finite"),
+        ((1.0, float("inf")), "is inf s; it must be finite"),
+    ],
+)
+def test_an_interval_that_is_none_is_refused(env, interval, message):
+    with pytest.raises(UserError, match=f"event 'push': interval_s {message}"):
         EventManager(env, Terms(push=event("push", mode="interval", interval_s=interval)))
 
 

@@ -157,8 +157,119 @@ def test_a_term_of_the_wrong_shape_is_named(env):
     def flat(env):
         return env.zeros()
 
-    with pytest.raises(UserError, match=r"observation 'actor\.flat' returned shape \(4,\); it must be \(4, d\)"):
+    with pytest.raises(
+        UserError, match=r"observation 'actor\.flat' returned shape \(4,\); it must be \(4, d\) or \(4, C, "
+    ):
         manager(env, flat=ObservationTermCfg(flat))
+
+
+@pytest.mark.parametrize("known_rows", [lambda mask: slice(None), lambda mask: mask.nonzero().squeeze(1)])
+def test_a_term_of_any_shape_is_scaled_and_stacked_along_its_first_dimension(make_env, mask, known_rows):
+    sim = SimpleNamespace(known_empty=lambda mask: False, known_rows=known_rows)
+    env = make_env(N, sim=sim, image=torch.zeros(N, 2, 3, 5))
+    observations = manager(env, history=3, image=ObservationTermCfg(lambda env: env.image, scale=0.5))
+    group = observations.groups["actor"]
+    assert (group.shape, group.term_shapes, group.history) == ((6, 3, 5), {"image": (2, 3, 5)}, 3)
+    images = [torch.rand(N, 2, 3, 5) for _ in range(4)]
+    for t, env.image in enumerate(images):
+        obs = observations.compute(EVERYWHERE if t == 0 else mask(N, 1) if t == 3 else NOWHERE)["actor"]
+    assert obs[[0, 2, 3]].equal(0.5 * torch.cat(images[1:], dim=1)[[0, 2, 3]])
+    assert obs[1].equal(0.5 * images[3].repeat(1, 3, 1, 1)[1])
+
+
+def test_noise_on_a_term_of_any_shape_is_drawn_for_every_value(make_env):
+    env = make_env(N, image=torch.zeros(N, 2, 30, 50))
+    term = ObservationTermCfg(lambda env: env.image, noise=0.4, scale=0.5)
+    obs = manager(env, enable_corruption=True, image=term).compute(NOWHERE)["actor"]
+    assert obs.shape == (N, 2, 30, 50)
+    assert obs.unique().numel() > 0.9 * obs.numel()
+    assert 0.19 < obs.max() <= 0.2
+    assert -0.2 <= obs.min() < -0.19
+
+
+def test_a_term_that_is_no_vector_must_be_alone_in_its_group(make_env):
+    env = make_env(N, speed=torch.zeros(N, 1), image=torch.zeros(N, 2, 3))
+    image, vector = ObservationTermCfg(lambda env: env.image), ObservationTermCfg(speed)
+    message = r"observation 'actor.image' returned shape \(4, 2, 3\); a term that is no vector must be the only one in"
+    for terms in ({"speed": vector, "image": image}, {"image": image, "other": image}):
+        with pytest.raises(UserError, match=message):
+            manager(env, **terms)
+
+
+def test_a_group_of_vectors_is_described(env):
+    group = manager(env, history=2, speed=ObservationTermCfg(speed), angles=ObservationTermCfg(angles)).groups["actor"]
+    assert (group.shape, group.term_shapes, group.history) == ((6,), {"speed": (1,), "angles": (2,)}, 2)
+
+
+class Steps(StatefulTerm):
+    """Counts its calls since the reset, in place, and keeps the environment."""
+
+    def __init__(self, env):
+        self.env, self.steps = env, env.zeros(1)
+
+    def __call__(self, env):
+        assert self.env is env
+        self.steps += 1.0
+        return self.steps.clone()
+
+    def reset(self, mask):
+        self.steps.masked_fill_(mask[:, None], 0.0)
+
+
+def test_the_terminal_observation_is_that_of_a_step_more_and_leaves_no_trace(env):
+    terms = {"speed": ObservationTermCfg(speed, scale=2.0), "steps": ObservationTermCfg(Steps)}
+    observations, twin = (manager(env, history=3, **terms) for _ in range(2))
+    for t in (1.0, 2.0, 3.0):
+        env.speed = torch.full((N, 1), t)
+        for one in (observations, twin):
+            one.compute(EVERYWHERE if t == 1.0 else NOWHERE)
+    env.speed = torch.full((N, 1), 4.0)
+    terminal = [observations.terminal()["actor"] for _ in range(2)]
+    assert terminal[0].equal(terminal[1])
+    assert terminal[0].equal(twin.compute(NOWHERE)["actor"])
+    assert observations.compute(NOWHERE)["actor"].equal(terminal[0])
+
+
+@pytest.mark.parametrize("enable_corruption", [False, True])
+def test_a_value_that_is_not_finite_is_reported_by_group_and_term_without_its_history(env, enable_corruption):
+    both = Terms(
+        actor=ObservationGroupCfg(Terms(speed=ObservationTermCfg(speed)), 3, enable_corruption),
+        critic=ObservationGroupCfg(Terms(speed=ObservationTermCfg(speed), angles=ObservationTermCfg(angles))),
+    )
+    observations = ObservationManager(env, both)
+    observations.compute(EVERYWHERE)
+    assert env.finite.report() == []
+    env.finite.step, good = 7, env.angles
+    env.angles = torch.tensor([[torch.nan, 0.0], [0.0, torch.inf], [0.0, 0.0], [torch.nan, torch.nan]])
+    observations.compute(NOWHERE)
+    assert env.finite.report() == [
+        "observation 'critic.angles' was not finite in 3 of 4 envs (first in step 7 since the last look)"
+    ]
+    env.angles, env.speed = good, torch.tensor([[torch.nan], [0.0], [0.0], [0.0]])
+    observations.compute(NOWHERE)
+    assert len(env.finite.report()) == 2  # of the actor and of the critic
+    env.speed = torch.zeros(N, 1)
+    observations.compute(NOWHERE)
+    assert env.finite.report() == []  # though the actor's history still holds it
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scale": float("nan")}, "scale is nan; it must be a finite number"),
+        ({"scale": float("inf")}, "scale is inf; it must be a finite number"),
+        ({"noise": -1.0}, "noise is -1; it must be a half-width of 0 or more"),
+        ({"noise": float("nan")}, "noise is nan; it must be a half-width of 0 or more"),
+    ],
+)
+def test_a_scale_or_noise_that_is_no_such_number_is_refused(env, change, message):
+    with pytest.raises(UserError, match=f"observation 'actor.speed': {message}"):
+        manager(env, speed=ObservationTermCfg(speed, **change))
+
+
+def test_a_group_without_terms_is_refused(env):
+    with pytest.raises(UserError, match="observation group 'actor' has no terms"):
+        manager(env)
 
 
 def test_a_history_of_no_step_is_refused(env):

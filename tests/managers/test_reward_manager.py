@@ -79,6 +79,53 @@ def test_stateful_rewards_are_reset_with_their_worlds(env, mask):
     assert rewards.compute(1.0).tolist() == [0.0, 0.0, 0.0, 3.0]
 
 
+def test_finding_the_shapes_is_no_step_of_an_episode(env):
+    class Steps(StatefulTerm):
+        def __init__(self, env):
+            self.steps = env.zeros()
+
+        def __call__(self, env):
+            self.steps = self.steps + 1.0
+            return self.steps
+
+        def reset(self, mask):
+            self.steps = self.steps.masked_fill(mask, 0.0)
+
+    rewards = RewardManager(env, Terms(steps=RewardTermCfg(Steps)))
+    assert rewards.compute(1.0).tolist() == [1.0] * N
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf, -torch.inf])
+def test_a_term_that_is_not_finite_is_reported_with_its_first_step_and_its_envs(env, bad):
+    rewards = RewardManager(env, Terms(speed=RewardTermCfg(speed), alive=RewardTermCfg(one)))
+    good = env.speed
+    for step in range(1, 6):
+        env.finite.step = step
+        env.speed = good.clone()
+        if step >= 3:
+            env.speed[step - 3] = bad  # in another env in each step
+        rewards.compute(1.0)
+    assert env.finite.report() == ["reward 'speed' was not finite in 3 of 4 envs (first in step 3 since the last look)"]
+    env.speed = good
+    rewards.compute(1.0)
+    assert env.finite.report() == []
+
+
+def test_a_diverged_env_earns_nothing_and_spoils_neither_report_nor_log(env, mask):
+    rewards = RewardManager(env, Terms(speed=RewardTermCfg(speed)))
+    env.speed = torch.tensor([1.0, torch.nan, 2.0, 3.0])
+    assert rewards.compute(1.0, mask(N, 1)).tolist() == [1.0, 0.0, 2.0, 3.0]
+    assert env.finite.report() == []
+    rewards.reset(mask(N, 0, 1))
+    assert env.log.flush()["Reward/speed"] == 0.5
+
+
+@pytest.mark.parametrize("weight", [float("nan"), float("inf")])
+def test_a_weight_that_is_not_finite_is_refused(env, weight):
+    with pytest.raises(UserError, match=f"reward 'speed': weight is {weight}; it must be a finite number"):
+        RewardManager(env, Terms(speed=RewardTermCfg(speed, weight=weight)))
+
+
 def test_a_term_of_weight_zero_is_never_computed(env):
     def broken(env):
         raise AssertionError
@@ -99,5 +146,5 @@ def test_a_term_of_the_wrong_shape_is_named(env):
     def column(env):
         return env.speed[:, None]
 
-    with pytest.raises(UserError, match=r"reward 'column' returned shape \(4, 1\); it must be \(4,\), one value per w"):
+    with pytest.raises(UserError, match=r"reward 'column' returned shape \(4, 1\); it must be \(4,\), one value per e"):
         RewardManager(env, Terms(alive=RewardTermCfg(one), column=RewardTermCfg(column)))

@@ -52,6 +52,13 @@ def test_the_share_of_each_reason_is_logged_over_the_episodes_that_end(env, term
     assert logged["Termination/late"] == pytest.approx(2 / 3)
 
 
+def test_episodes_that_do_not_count_are_left_out_of_the_shares(env, terminations, mask):
+    terminations.reset(terminations.compute(), counted=mask(N, 0, 2, 3))
+    logged = env.log.flush()
+    assert logged["Termination/fallen"] == pytest.approx(1 / 2)
+    assert logged["Termination/late"] == pytest.approx(1.0)
+
+
 def test_without_terms_nothing_ends(env):
     terminations = TerminationManager(env, Terms())
     assert terminations.compute().tolist() == [False] * N

@@ -1,64 +1,84 @@
-"""The training harness, and how it is taken away."""
+"""The training harness, and its withdrawal."""
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
-from humoslope.mdp.harness import Harness, HarnessCurriculum
+from humoslope.mdp.harness import Harness, HarnessCurriculum, commanded_and_walked
 
 WEIGHT = 33.0 * 9.81
-ROOT, TORSO = 1, 2  # body ids
 EVERYWHERE = torch.tensor([True])
 
 
 @pytest.fixture(scope="module")
-def hang(make_env):
-    """hang(rotation, spin, scale=...): the wrench [body, force and torque] on a robot whose torso leans and spins."""
+def bare(make_env, g1):
+    """bare(4): envs of the G1 whose wrenches start at zero, without signals."""
+
+    def make(num_envs, **attributes):
+        wrench = torch.zeros(num_envs, g1.nbody, 6, dtype=torch.float64)
+        return make_env(
+            num_envs,
+            robot=SimpleNamespace(total_mass=33.0, root_body="pelvis", torso_body="torso_link"),
+            body_id=lambda name: g1.body(name).id,
+            sim=SimpleNamespace(state=lambda field: wrench, model=g1),
+            **attributes,
+        )
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def hang(bare):
+    """hang(rotation, spin, scale=...): the wrenches [body, force and torque] on a robot whose torso leans and spins."""
 
     def make(torso=None, spin=(0.0, 0.0, 0.0), **params):
-        wrench = torch.zeros(1, 3, 6, dtype=torch.float64)
         quat = (torso or Rotation.identity()).as_quat(scalar_first=True)
-        env = make_env(
+        env = bare(
             1,
-            robot=SimpleNamespace(total_mass=33.0, root_body="pelvis", torso_body="torso"),
-            body_id={"pelvis": ROOT, "torso": TORSO}.__getitem__,
-            sim=SimpleNamespace(state=lambda field: wrench),
             signals=SimpleNamespace(
                 torso_quat_w=torch.tensor(np.array([quat]), dtype=torch.float32), torso_ang_vel_w=torch.tensor([spin])
             ),
         )
         harness = Harness(env, **params)
         harness(env, EVERYWHERE)
-        return wrench[0].numpy()
+        return env.sim.state("xfrc_applied")[0].numpy()
 
     return make
 
 
-def test_at_full_strength_it_carries_35_percent_of_the_weight_at_the_root_and_only_there(hang):
+@pytest.fixture(scope="module")
+def bodies(g1):
+    """Ids of the root and of the torso."""
+    return g1.body("pelvis").id, g1.body("torso_link").id
+
+
+def test_at_full_strength_it_carries_35_percent_of_the_weight_at_the_root_and_only_there(hang, bodies):
     wrench = hang()
-    np.testing.assert_allclose(wrench[ROOT], [0.0, 0.0, 0.35 * WEIGHT, 0.0, 0.0, 0.0], rtol=1e-6)
-    np.testing.assert_allclose(wrench[TORSO], 0.0, atol=1e-6)
-    np.testing.assert_array_equal(wrench[0], 0.0)
+    np.testing.assert_allclose(wrench[bodies[0]], [0.0, 0.0, 0.35 * WEIGHT, 0.0, 0.0, 0.0], rtol=1e-6)
+    wrench[bodies[0]] = 0.0
+    np.testing.assert_allclose(wrench, 0.0, atol=1e-6)
 
 
 @given(heading=st.floats(-180.0, 180.0), lean=st.floats(1.0, 80.0), direction=st.floats(-180.0, 180.0))
-def test_the_torque_turns_a_leaning_torso_back_upright_whatever_its_heading(hang, heading, lean, direction):
+def test_the_torque_turns_a_leaning_torso_back_upright_whatever_its_heading(hang, bodies, heading, lean, direction):
     axis = Rotation.from_euler("z", direction, degrees=True).apply([1.0, 0.0, 0.0])
     tilt = Rotation.from_rotvec(np.radians(lean) * axis)
-    torque = hang(tilt * Rotation.from_euler("z", heading, degrees=True), stiffness=120.0)[TORSO, 3:]
+    torque = hang(tilt * Rotation.from_euler("z", heading, degrees=True), stiffness=120.0)[bodies[1], 3:]
     np.testing.assert_allclose(torque, -120.0 * np.sin(np.radians(lean)) * axis, atol=1e-3)
 
 
-def test_it_damps_roll_and_pitch_and_leaves_the_robot_free_to_turn(hang):
-    torque = hang(spin=(1.0, -2.0, 5.0), damping=3.0)[TORSO, 3:]
+def test_it_damps_roll_and_pitch_and_leaves_the_robot_free_to_turn(hang, bodies):
+    torque = hang(spin=(1.0, -2.0, 5.0), damping=3.0)[bodies[1], 3:]
     np.testing.assert_allclose(torque, [-3.0, 6.0, 0.0], atol=1e-5)
 
 
@@ -74,26 +94,106 @@ def test_a_scale_beyond_its_range_is_refused(hang, scale):
         hang(scale=scale)
 
 
+@pytest.mark.parametrize("name", ["support", "stiffness", "damping"])
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+def test_a_strength_that_is_no_number_from_zero_up_is_refused(hang, name, value):
+    with pytest.raises(UserError, match=f"harness: {name} is {value:g}; it must be 0 or more"):
+        hang(**{name: value})
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_an_episode_starts_in_the_wrench_that_its_first_state_asks_for(bare, g1, bodies, seed):
+    rng, env = np.random.default_rng(seed), bare(3)
+    qpos = rng.uniform(-1.0, 1.0, (3, g1.nq))
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    qvel = rng.uniform(-2.0, 2.0, (3, g1.nv))
+    env.start_qpos, env.start_qvel = torch.tensor(qpos).float(), torch.tensor(qvel).float()
+    env.start_wrench = torch.zeros(3, g1.nbody, 6)
+    Harness(env, scale=0.5).reset(torch.tensor([True, False, True]))
+
+    root, torso = bodies
+    expected = np.zeros((3, g1.nbody, 6))
+    for i in range(3):
+        data, velocity = mujoco.MjData(g1), np.zeros(6)
+        data.qpos, data.qvel = qpos[i], qvel[i]
+        mujoco.mj_forward(g1, data)
+        mujoco.mj_objectVelocity(g1, data, mujoco.mjtObj.mjOBJ_XBODY, torso, velocity, 0)
+        up = data.xmat[torso].reshape(3, 3)[:, 2]
+        expected[i, root, 2] = 0.5 * 0.35 * WEIGHT
+        expected[i, torso, 3:5] = 0.5 * (120.0 * np.cross(up, [0.0, 0.0, 1.0]) - 3.0 * velocity[:3])[:2]
+    np.testing.assert_allclose(env.start_wrench.numpy(), expected, atol=2e-3, rtol=1e-4)
+
+
+def test_a_torso_that_slides_on_the_root_is_refused(make_env):
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="root"><freejoint/><geom size="0.1" mass="1"/>
+        <body name="torso"><joint type="slide"/><geom size="0.1" mass="1"/></body></body></worldbody></mujoco>"""
+    )
+    env = make_env(
+        1,
+        robot=SimpleNamespace(total_mass=2.0, root_body="root", torso_body="torso"),
+        body_id=lambda name: model.body(name).id,
+        sim=SimpleNamespace(state=lambda field: torch.zeros(1, 3, 6), model=model),
+    )
+    with pytest.raises(UserError, match="harness: only hinge joints may connect the robot's root with its torso"):
+        Harness(env)
+
+
+# Commanded and walked speed
+
+speeds = st.floats(-2.0, 2.0)
+
+
+@given(forward=speeds, left=speeds, share=st.floats(-1.5, 1.5), across=speeds, up=speeds)
+def test_what_is_walked_counts_in_the_commanded_direction_whichever_that_is(make_env, forward, left, share, across, up):
+    """A robot that walks `share` of its command, and strays at right angles to it."""
+    speed = math.hypot(forward, left)
+    assume(speed > 1e-3)
+    velocity = [share * forward - across * left / speed, share * left + across * forward / speed, up]
+    env = make_env(
+        1,
+        commands=SimpleNamespace(velocity=torch.tensor([[forward, left, 0.3]])),
+        signals=SimpleNamespace(root_lin_vel_t=torch.tensor([velocity])),
+    )
+    commanded, walked = commanded_and_walked(env)
+    assert commanded.item() == pytest.approx(speed, abs=1e-5)
+    assert walked.item() == pytest.approx(share * speed, abs=1e-4)
+
+
+def test_robots_that_are_commanded_to_stand_count_for_nothing_however_they_move(make_env):
+    env = make_env(
+        2,
+        commands=SimpleNamespace(velocity=torch.zeros(2, 3)),
+        signals=SimpleNamespace(root_lin_vel_t=torch.tensor([[3.0, 0.0, 0.0], [-1.0, 2.0, 0.0]])),
+    )
+    assert [speed.tolist() for speed in commanded_and_walked(env)] == [[0.0, 0.0], [0.0, 0.0]]
+
+
 # Withdrawal
 
+FORWARD, BACKWARD, SIDEWAYS = [0.5, 0.0, 0.1], [-0.5, 0.0, 0.0], [0.0, 0.5, 0.0]
+STANDING = [0.0, 0.0, 0.0]
+COMMANDS = {
+    "forward": [FORWARD] * 3 + [STANDING],
+    "backward": [BACKWARD] * 3 + [STANDING],
+    "around zero": [FORWARD, BACKWARD, SIDEWAYS, STANDING],
+}
 
-@pytest.fixture
-def withdrawal(make_env):
-    """withdraw(steps, falling, share): the scale after so many steps of robots falling and walking so."""
-    env = make_env(
-        4,
-        sim=SimpleNamespace(state=lambda field: torch.zeros(4, 3, 6)),
-        robot=SimpleNamespace(total_mass=33.0, root_body="pelvis", torso_body="torso"),
-        body_id={"pelvis": ROOT, "torso": TORSO}.__getitem__,
-        commands=SimpleNamespace(velocity=torch.tensor([[0.5, 0.0, 0.1]] * 3 + [[0.0, 0.0, 0.0]])),
-    )
+
+@pytest.fixture(params=COMMANDS)
+def withdrawal(bare, request):
+    """withdraw(steps, falling, share): the scale after so many steps of robots falling and walking so.
+    The robot that is commanded to stand drifts forward at 2 m/s."""
+    env = bare(4, commands=SimpleNamespace(velocity=torch.tensor(COMMANDS[request.param])))
     env.events = {"harness": Harness(env), "push": lambda env, mask: None}
 
-    def withdraw(steps, falling=False, share=1.0, fresh=None):
+    def withdraw(steps, falling=False, share=1.0):
         env.terminations = SimpleNamespace(terminated=torch.full((4,), falling))
-        env.signals = SimpleNamespace(root_lin_vel_t=share * env.commands.velocity)
+        velocity = share * env.commands.velocity
+        velocity[3, 0] = 2.0
+        env.signals = SimpleNamespace(root_lin_vel_t=velocity)
         for _ in range(steps):
-            scale = withdraw.term(env, torch.zeros(4, dtype=torch.bool))
+            scale = withdraw.term.step(env)
         return scale.item()
 
     withdraw.env = env
@@ -153,6 +253,39 @@ def test_withdrawal_goes_on_where_its_state_was_taken(withdrawal):
     withdrawal.term.load_state_dict(state)
     assert [withdrawal(1) for _ in range(5)] == pytest.approx(expected, abs=1e-6)
     assert all(isinstance(value, float) for value in state.values())
+
+
+@given(st.lists(st.tuples(speeds, speeds), min_size=1, max_size=6), st.floats(0.0, 1.0))
+def test_the_share_of_the_commanded_speed_is_right_for_any_commands(bare, commands, share):
+    env = bare(len(commands), terminations=SimpleNamespace(terminated=torch.zeros(len(commands), dtype=torch.bool)))
+    velocity = torch.tensor([[*command, 0.0] for command in commands])
+    assume(velocity.norm(dim=1).sum() > 0.01)
+    env.commands, env.signals = SimpleNamespace(velocity=velocity), SimpleNamespace(root_lin_vel_t=share * velocity)
+    env.events = {"harness": Harness(env)}
+    term = HarnessCurriculum(env, memory_s=0.02)  # no memory
+    term.step(env)
+    assert term.state_dict()["speed"] == pytest.approx(share, abs=1e-3)
+
+
+def test_while_every_robot_is_commanded_to_stand_the_share_stays_as_it_was(withdrawal):
+    withdrawal(100)
+    before = withdrawal.term.state_dict()["speed"]
+    withdrawal.env.commands.velocity = torch.zeros(4, 3)
+    withdrawal(100)
+    assert withdrawal.term.state_dict()["speed"] == before
+
+
+@pytest.mark.parametrize(
+    ("params", "message"),
+    [
+        ({"rate": -0.1}, "rate is -0.1; it must be 0 or more"),
+        ({"falls_per_second": float("nan")}, "falls_per_second is nan; it must be 0 or more"),
+        ({"memory_s": 0.0}, "memory_s is 0; it must be positive"),
+    ],
+)
+def test_a_withdrawal_without_sense_is_refused(withdrawal, params, message):
+    with pytest.raises(UserError, match=f"harness curriculum: {message}"):
+        withdrawal.make(**params)
 
 
 def test_only_a_harness_can_be_withdrawn(withdrawal):

@@ -72,8 +72,8 @@ def test_actor_and_critic_see_what_unitrees_do(task: str) -> None:
     cfg = build_task(task)
     cfg.env.num_envs, cfg.env.sim.backend = 2, "native"
     groups = ManagerBasedRlEnv(cfg.env).observations.groups
-    assert {name: group.size for name, group in groups.items()} == {"actor": 480, "critic": 495}
-    assert next(iter(groups["critic"].widths)) == "base_lin_vel"
+    assert {name: group.shape for name, group in groups.items()} == {"actor": (480,), "critic": (495,)}
+    assert next(iter(groups["critic"].term_shapes)) == "base_lin_vel"
     assert not groups["critic"].cfg.enable_corruption
 
 

@@ -1,11 +1,18 @@
-"""The managers: each turns a list of configured terms into one part of the environment step."""
+"""The managers: each turns configured terms into one part of the environment step."""
 
 from humoslope.managers.action import ActionManager, JointPositionActionCfg
+from humoslope.managers.clock import control_steps
 from humoslope.managers.command import CommandManager, VelocityCommandCfg
-from humoslope.managers.curriculum import CurriculumManager
+from humoslope.managers.curriculum import CurriculumManager, CurriculumTerm
 from humoslope.managers.event import EventManager, EventTermCfg
+from humoslope.managers.finite import FiniteWatch
 from humoslope.managers.log import Log
-from humoslope.managers.observation import ObservationGroupCfg, ObservationManager, ObservationTermCfg
+from humoslope.managers.observation import (
+    ObservationGroup,
+    ObservationGroupCfg,
+    ObservationManager,
+    ObservationTermCfg,
+)
 from humoslope.managers.reward import RewardManager, RewardTermCfg
 from humoslope.managers.termination import TerminationManager, TerminationTermCfg
 from humoslope.managers.terms import StatefulTerm, TermCfg, Terms
@@ -14,10 +21,13 @@ __all__ = [
     "ActionManager",
     "CommandManager",
     "CurriculumManager",
+    "CurriculumTerm",
     "EventManager",
     "EventTermCfg",
+    "FiniteWatch",
     "JointPositionActionCfg",
     "Log",
+    "ObservationGroup",
     "ObservationGroupCfg",
     "ObservationManager",
     "ObservationTermCfg",
@@ -29,4 +39,5 @@ __all__ = [
     "TerminationTermCfg",
     "Terms",
     "VelocityCommandCfg",
+    "control_steps",
 ]

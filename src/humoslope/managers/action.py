@@ -9,7 +9,7 @@ import torch
 from rich.table import Table
 from torch import Tensor
 
-from humoslope.errors import UserError
+from humoslope.errors import require_positive
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
@@ -18,43 +18,54 @@ if TYPE_CHECKING:
 
 @dataclass
 class JointPositionActionCfg(StrictCfg):
-    """Target of every joint: default pose + `scale_factor` x the robot's action scale x action.
+    """Joint position targets: default pose + `scale_factor` x the robot's action scale x action.
 
-    Actions are not clipped: with the gains of a low-impedance drive, peak torque needs actions of 3 and more.
+    Actions are not clipped: with low gains, peak torque needs actions of 3 and more.
+
+    Attributes:
+        scale_factor: Factor on the robot's action scale of every joint.
     """
 
     scale_factor: float = 1.0
 
 
 class ActionManager:
-    """Turns actions into controls and remembers the last two."""
+    """Turns actions into controls and remembers the last two.
+
+    Attributes:
+        action: [N, J] action of this control step; zero at the start of an episode.
+        previous_action: [N, J] action of the control step before.
+        default_ctrl: [N, J] joint targets of a zero action, which hold at the start of an episode, rad.
+    """
 
     def __init__(self, env: Env, cfg: JointPositionActionCfg) -> None:
         robot = env.robot
-        if cfg.scale_factor <= 0.0:
-            raise UserError(f"actions: scale_factor {cfg.scale_factor} must be positive.")
+        require_positive("actions", scale_factor=cfg.scale_factor)
+        self._env = env
         self._ctrl = env.sim.state("ctrl")  # [N, J]
         self._default = torch.tensor(robot.default_joint_pos, device=env.device)  # [J]
         self._scale = torch.tensor(robot.action_scale, device=env.device) * cfg.scale_factor  # [J]
         self._robot = robot
-        self.action = env.zeros(robot.num_joints)  # [N, J] a_t
-        self.previous_action = env.zeros(robot.num_joints)  # [N, J] a_(t-1)
+        self._watched = env.finite.watch({"the action": robot.num_joints})
+        self.default_ctrl = self._default.expand(env.num_envs, -1)
+        self.action = env.zeros(robot.num_joints)
+        self.previous_action = env.zeros(robot.num_joints)
 
     def process(self, action: Tensor) -> None:
-        """Takes the policy's action [N, J] and holds its joint targets for the step."""
+        """Takes the policy's action [N, J] and sets its joint targets for the control step."""
+        self._watched.add(action, self._env.finite.step)
         self.previous_action = self.action
-        # The learner owns the tensor it gave. A diverged policy must not write NaN into the physics.
+        # A copy, since the learner owns the tensor. A diverged policy must not write NaN into the physics.
         self.action = torch.nan_to_num(action, nan=0.0, posinf=100.0, neginf=-100.0)
         self._ctrl.copy_(self._default + self._scale * self.action)
 
     def reset(self, mask: Tensor) -> None:
-        """Forgets the actions of the worlds in `mask`."""
+        """Sets the remembered actions of the envs in `mask` [N] to zero. The simulation's reset sets their controls."""
         self.action = self.action.masked_fill(mask[:, None], 0.0)
         self.previous_action = self.previous_action.masked_fill(mask[:, None], 0.0)
-        self._ctrl.copy_(torch.where(mask[:, None], self._default.to(self._ctrl.dtype), self._ctrl))
 
     def table(self) -> Table:
-        """Which joints move, how far per unit of action, and how stiff they are."""
+        """Table of the joints: default pose, action scale, gains and torque limit."""
         table = Table("joint", "default rad", "scale rad", "kp", "kd", "limit Nm", title="Actions")
         robot = self._robot
         rows = zip(

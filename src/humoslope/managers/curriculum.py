@@ -1,13 +1,14 @@
-"""Curricula: what gets harder as the policy gets better."""
+"""Curricula: difficulty that follows the skill of the policy."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 from torch import Tensor
 
-from humoslope.errors import unknown
+from humoslope.errors import UserError, unknown
 from humoslope.managers.terms import StatefulTerm, TermCfg, Terms, bind
 
 if TYPE_CHECKING:
@@ -16,49 +17,79 @@ if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
-class CurriculumManager:
-    """Calls each term with the worlds that are about to be reset.
+class CurriculumTerm(StatefulTerm):
+    """Curriculum with a memory; constructed with the environment and the term's parameters."""
 
-    A term is `func(env, mask, **params) -> Tensor`, the difficulty it logs.
-    A class may define `state_dict` and `load_state_dict`; they go into the checkpoint.
+    @abstractmethod
+    def step(self, env: Env) -> Tensor:
+        """Called in every control step, before any reset. Returns the difficulty to log, a scalar or [N]."""
+
+    def reset(self, mask: Tensor) -> None:
+        """Called when episodes end, before the envs in `mask` [N] are reset: the last sight of those episodes."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """State for the checkpoint; empty by default."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores the result of `state_dict`."""
+
+
+class CurriculumManager:
+    """Runs the curricula.
+
+    A term is a `CurriculumTerm`, or a function `func(env, mask, **params) -> Tensor` that is called with the envs about
+    to be reset and returns the difficulty to log.
     """
 
     def __init__(self, env: Env, cfg: Terms[TermCfg]) -> None:
         self._env = env
-        self._calls: dict[str, Callable[..., Any]] = {}
-        env.curriculum = self  # a term may build on one before it
+        self._terms: dict[str, CurriculumTerm] = {}
+        self._functions: dict[str, Callable[..., Tensor]] = {}
         for name, term in cfg.items():
-            self._calls[name] = bind("curriculum", name, term, env, ("env", "mask"))
+            call = bind("curriculum", name, term, env, ("env", "mask"))
+            if isinstance(call, CurriculumTerm):
+                self._terms[name] = call
+            elif isinstance(call, StatefulTerm):
+                raise UserError(f"curriculum '{name}': class {type(call).__name__} must derive from CurriculumTerm.")
+            else:
+                self._functions[name] = call
 
-    def __getitem__(self, name: str) -> Any:
-        """The term called `name`.
+    def __getitem__(self, name: str) -> CurriculumTerm:
+        """Returns the `CurriculumTerm` called `name`.
 
         Raises:
             UserError: If there is none.
         """
-        if name not in self._calls:
-            raise unknown("curriculum", name, self._calls)
-        return self._calls[name]
+        if name not in self._terms:
+            raise unknown("curriculum", name, self._terms)
+        return self._terms[name]
+
+    def step(self) -> None:
+        """Steps every `CurriculumTerm` and logs its difficulty. Called in every control step."""
+        for name, term in self._terms.items():
+            self._env.log.add(f"Curriculum/{name}", term.step(self._env))
 
     def reset(self, mask: Tensor) -> None:
-        """Lets every term look at the episodes that end in `mask`, before their worlds are reset."""
-        for name, call in self._calls.items():
-            self._env.log.add(f"Curriculum/{name}", call(self._env, mask))
-            if isinstance(call, StatefulTerm):
-                call.reset(mask)
+        """Shows every term the episodes that end in `mask` [N]. Called only if some may end, before they are reset."""
+        for name, function in self._functions.items():
+            self._env.log.add(f"Curriculum/{name}", function(self._env, mask))
+        for term in self._terms.values():
+            term.reset(mask)
 
     def state_dict(self) -> dict[str, Any]:
-        """What a resumed run needs."""
-        return {name: call.state_dict() for name, call in self._calls.items() if hasattr(call, "state_dict")}
+        """State of the terms that have one, by name."""
+        states = {name: term.state_dict() for name, term in self._terms.items()}
+        return {name: state for name, state in states.items() if state}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restores what `state_dict` gave; terms that are new keep their start."""
+        """Restores the result of `state_dict`; terms that are not in it keep their initial state."""
         for name, value in state.items():
-            if name in self._calls:
-                self[name].load_state_dict(value)
+            if name in self._terms:
+                self._terms[name].load_state_dict(value)
 
     def table(self) -> Table:
-        """What gets harder."""
+        """Table of the curricula and their parameters."""
         table = Table("curriculum", "parameters", title="Curricula")
         for name, term in self._env.cfg.curriculum.items():
             table.add_row(name, ", ".join(f"{k}={v}" for k, v in term.params.items()))

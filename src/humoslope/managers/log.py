@@ -1,4 +1,4 @@
-"""Averages that gather on the device and are read once per iteration."""
+"""Averages that accumulate on the device and are read once per iteration."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import torch
 from torch import Tensor
 
 PATIENCE = 32
-"""Additions to a name that wait to be summed together: summing is dearer than keeping."""
+"""Additions to a name that are summed together: summing costs more than keeping."""
 
 
 class Log:
-    """Running means by name; adding never waits for the device.
+    """Running means by name. Adding never waits for the device.
 
-    What was added is summed later: it must not be written to any more.
+    Tensors that were added are summed later; they must not be written to afterwards.
     """
 
     def __init__(self, device: torch.device) -> None:
         self.device = device
-        self._waiting: dict[tuple[str, bool], list[tuple[Tensor, Tensor | None]]] = {}  # name, whether there are masks
+        self._waiting: dict[tuple[str, bool], list[tuple[Tensor, Tensor | None]]] = {}  # by name and "with a mask"
         self._sums: dict[tuple[str, ...], Tensor] = {}  # names -> [T, 2]: weighted sum, weight
 
     def add(self, name: str, values: Tensor, mask: Tensor | None = None) -> None:
@@ -32,7 +32,7 @@ class Log:
         weight = mask.to(torch.float32)
         sums = weight @ values  # [T]
         entries = torch.stack([sums, weight.sum().expand_as(sums)], dim=1)  # [T, 2]
-        self._gather(names, entries)
+        self._accumulate(names, entries)
 
     def _settle(self, name: str, masked: bool) -> None:
         added = self._waiting.pop((name, masked))
@@ -42,14 +42,14 @@ class Log:
             entry = torch.stack([(values * weight).sum(), weight.sum()])
         else:
             entry = torch.stack([values.sum(), torch.full((), float(values.numel()), device=self.device)])
-        self._gather((name,), entry[None])
+        self._accumulate((name,), entry[None])
 
-    def _gather(self, names: tuple[str, ...], entries: Tensor) -> None:
+    def _accumulate(self, names: tuple[str, ...], entries: Tensor) -> None:
         total = self._sums.get(names)
         self._sums[names] = entries if total is None else total + entries
 
     def flush(self) -> dict[str, float]:
-        """The means since the last flush; a name nothing was added to is left out. Waits for the device, once."""
+        """Returns the means since the last flush, without names that nothing was added to. Waits for the device."""
         for name, masked in list(self._waiting):
             self._settle(name, masked)
         if not self._sums:

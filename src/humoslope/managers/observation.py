@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from rich.table import Table
@@ -12,7 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.errors import UserError
-from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind, first_value
+from humoslope.managers.terms import StatefulTerm, StatefulTerms, TermCfg, Terms, bind, first_value
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class ObservationTermCfg(TermCfg):
-    """`func(env, **params) -> [N, d]`.
+    """Observation `func(env, **params) -> [N, d]`, or [N, C, ...] such as an image or a map.
 
     Attributes:
         noise: Half-width of uniform noise, in the term's own unit, added before the scale.
@@ -33,18 +35,21 @@ class ObservationTermCfg(TermCfg):
 
 
 def any_noise(env: Env, frame: Tensor) -> Tensor:
-    """Numbers in [0, 1) from torch's generator, in the shape of `frame` [N, D]."""
+    """Returns numbers in [0, 1) from torch's generator, in the shape of `frame` [N, ...]."""
     return torch.rand_like(frame)
 
 
 @dataclass
 class ObservationGroupCfg(StrictCfg):
-    """Terms concatenated into one vector.
+    """Terms observed together: vectors [N, d], concatenated, or exactly one term of any shape [N, C, ...].
 
     Attributes:
-        history: Number of control steps it spans; each term's frames stand together, oldest first.
+        terms: Terms in the order of their columns.
+        history: Number of control steps that are observed. They are stacked along dimension 1; the frames of each term
+            stand together, the oldest first.
         enable_corruption: Whether noise is added.
-        noise_source: `func(env, frame [N, D]) -> [N, D]`, the uniform numbers in [0, 1) that noise is made of.
+        noise_source: Source of the noise: function of the environment and the frame [N, ...] that returns numbers in
+            [0, 1) of the same shape.
     """
 
     terms: Terms[ObservationTermCfg] = field(default_factory=Terms)
@@ -54,20 +59,30 @@ class ObservationGroupCfg(StrictCfg):
 
 
 class ObservationManager:
-    """Computes every group as a fresh tensor each step, since the learner keeps references."""
+    """Computes every group as a fresh tensor in each step, since the learner keeps references.
+
+    Attributes:
+        groups: Description of each group, by name.
+    """
 
     def __init__(self, env: Env, cfg: Terms[ObservationGroupCfg]) -> None:
-        self.groups = {name: _Group(env, name, group) for name, group in cfg.items()}
+        self.groups = {name: ObservationGroup(env, name, group) for name, group in cfg.items()}
         self._num_envs = env.num_envs
         self._device = env.device
 
     def compute(self, restarted: Tensor) -> TensorDict:
-        """All groups, [N, d] each. History of the worlds in `restarted` [N] is filled with their first frame."""
-        return TensorDict(
-            {name: group.compute(restarted) for name, group in self.groups.items()},
-            batch_size=[self._num_envs],
-            device=self._device,
-        )
+        """Returns all groups, [N, *shape] each. The history of envs in `restarted` [N] becomes their first frame."""
+        return self._dict({name: group.compute(restarted) for name, group in self.groups.items()})
+
+    def terminal(self) -> TensorDict:
+        """Returns what `compute` would return for envs that go on, and changes nothing but torch's generator.
+
+        Called before a reset, it is the last observation of the episodes that end.
+        """
+        return self._dict({name: group.terminal() for name, group in self.groups.items()})
+
+    def _dict(self, values: dict[str, Tensor]) -> TensorDict:
+        return TensorDict(values, batch_size=[self._num_envs], device=self._device)
 
     def reset(self, mask: Tensor) -> None:
         """Resets the stateful terms."""
@@ -75,63 +90,119 @@ class ObservationManager:
             group.stateful.reset(mask)
 
     def table(self) -> Table:
-        """What each group sees."""
+        """Table of the groups, their terms, sizes, scales and noise."""
         table = Table("group", "term", "size", "scale", "noise", title="Observations")
         for name, group in self.groups.items():
             noisy = " noisy" if group.cfg.enable_corruption else ""
-            table.add_row(name, "", f"{group.size}", "", f"history {group.cfg.history}{noisy}", style="bold")
-            for term, width in group.widths.items():
-                cfg = getattr(group.cfg.terms, term)
-                table.add_row(
-                    "", term, str(width), f"{cfg.scale:g}", f"±{cfg.noise:g}" if group.cfg.enable_corruption else ""
-                )
+            table.add_row(name, "", _size(group.shape), "", f"history {group.history}{noisy}", style="bold")
+            for term, cfg in group.cfg.terms.items():
+                noise = f"±{cfg.noise:g}" if group.cfg.enable_corruption else ""
+                table.add_row("", term, _size(group.term_shapes[term]), f"{cfg.scale:g}", noise)
         return table
 
 
-class _Group:
-    """One frame of all terms is handled as a single [N, D] tensor: one noise draw, one scaling, one history shift."""
+class ObservationGroup:
+    """Computes one group.
+
+    One frame of all terms is a single tensor: one noise draw, one scaling, one history shift.
+
+    Attributes:
+        cfg: Configuration of the group.
+        history: Number of control steps that are observed.
+        term_shapes: Shape of one frame of each term in one env, in the order of their columns.
+        shape: Shape of the group's observation in one env, history included.
+        stateful: The terms with a memory.
+    """
 
     def __init__(self, env: Env, name: str, cfg: ObservationGroupCfg) -> None:
         if cfg.history < 1:
             raise UserError(f"observation group '{name}': history {cfg.history} must be at least 1.")
-        self.env, self.cfg = env, cfg
+        if not len(cfg.terms):
+            raise UserError(f"observation group '{name}' has no terms.")
+        self.env, self.cfg, self.history = env, cfg, cfg.history
         self.stateful = StatefulTerms()
         self._calls = {n: self.stateful.keep(bind("observation", n, t, env)) for n, t in cfg.terms.items()}
-        self.widths: dict[str, int] = {}
-        for term, call in self._calls.items():
-            shape = tuple(first_value("observation", f"{name}.{term}", call, env).shape)
-            if len(shape) != 2 or shape[0] != env.num_envs:
-                raise UserError(f"observation '{name}.{term}' returned shape {shape}; it must be ({env.num_envs}, d).")
-            self.widths[term] = shape[1]
-        frame = sum(self.widths.values())
-        self.size = frame * cfg.history
-        terms = list(cfg.terms.items())
-        self._scale = torch.cat([torch.full((self.widths[n],), t.scale) for n, t in terms]).to(env.device)  # [D]
-        noise = torch.cat([torch.full((self.widths[n],), t.noise) for n, t in terms]).to(env.device)
-        self._noise = noise * self._scale  # [D]
-        self._history = env.zeros(self.size)  # [N, H * D]
-        columns = torch.arange(frame, device=env.device).split(list(self.widths.values()))
-        self._places = torch.cat([column.repeat(cfg.history) for column in columns])  # [H * D] column of the frame
+        self.term_shapes = {term: self._first_shape(f"{name}.{term}", call) for term, call in self._calls.items()}
+        for term, term_cfg in cfg.terms.items():
+            _check_numbers(f"observation '{name}.{term}'", term_cfg)
+        rest = next(iter(self.term_shapes.values()))[1:]  # shape beyond dimension 1
+        if len(self.term_shapes) > 1 and any(len(shape) > 1 for shape in self.term_shapes.values()):
+            shaped = next(term for term, shape in self.term_shapes.items() if len(shape) > 1)
+            shape = (env.num_envs, *self.term_shapes[shaped])
+            raise UserError(
+                f"observation '{name}.{shaped}' returned shape {shape}; "
+                f"a term that is no vector must be the only one in its group, which has {len(self.term_shapes)}."
+            )
+        self._widths = [shape[0] for shape in self.term_shapes.values()]
+        frame = sum(self._widths)
+        self.shape = (frame * self.history, *rest)
+        ones = (1,) * len(rest)
+        terms = list(zip(self._widths, cfg.terms.items(), strict=True))
+        scale = torch.cat([torch.full((width, *ones), float(t.scale)) for width, (_, t) in terms])
+        noise = torch.cat([torch.full((width, *ones), float(t.noise)) for width, (_, t) in terms])
+        self._scale = scale.to(env.device)  # [D, 1...]
+        self._noise = noise.to(env.device) * self._scale
+        self._history = env.zeros(*self.shape)  # [N, H * D, ...]
+        columns = torch.arange(frame, device=env.device).split(self._widths)
+        self._places = torch.cat([column.repeat(self.history) for column in columns])  # [H * D] column of the frame
+        sizes = {f"observation '{name}.{term}'": math.prod(shape) for term, shape in self.term_shapes.items()}
+        self._watched = env.finite.watch(sizes)
+
+    def _first_shape(self, name: str, call: Callable[..., Any]) -> tuple[int, ...]:
+        shape = tuple(first_value("observation", name, call, self.env).shape)
+        if len(shape) < 2 or shape[0] != self.env.num_envs:
+            n = self.env.num_envs
+            raise UserError(f"observation '{name}' returned shape {shape}; it must be ({n}, d) or ({n}, C, ...).")
+        return shape[1:]
 
     def compute(self, restarted: Tensor) -> Tensor:
-        frame = torch.cat([call(self.env) for call in self._calls.values()], dim=1)
-        frame = frame * self._scale
-        if self.cfg.enable_corruption:
-            uniform = self.cfg.noise_source(self.env, frame)  # in [0, 1)
-            frame = torch.addcmul(frame - self._noise, uniform, 2.0 * self._noise)
-        if self.cfg.history == 1:
+        """See `ObservationManager.compute`."""
+        frame = self._frame(self._calls)
+        self._watched.add(frame, self.env.finite.step)
+        if self.history == 1:
             return frame
         history = self._shifted(frame)
         if not self.env.sim.known_empty(restarted):
             rows = self.env.sim.known_rows(restarted)
             filled = frame[rows][:, self._places]
-            history[rows] = torch.where(restarted[rows, None], filled, history[rows])
+            where = restarted[rows].view(-1, *[1] * (frame.dim() - 1))
+            history[rows] = torch.where(where, filled, history[rows])
         self._history = history
         return history
 
+    def terminal(self) -> Tensor:
+        """See `ObservationManager.terminal`."""
+        # Stateful terms are asked in a copy, for they would take a second call in one step for another step. What hangs
+        # on the environment is shared with the copy.
+        memo = {id(value): value for value in (self.env, *vars(self.env).values())}
+        calls = {
+            name: copy.deepcopy(call, memo) if isinstance(call, StatefulTerm) else call
+            for name, call in self._calls.items()
+        }
+        frame = self._frame(calls)
+        return frame if self.history == 1 else self._shifted(frame)
+
+    def _frame(self, calls: dict[str, Callable[..., Any]]) -> Tensor:
+        """Present values of the terms, noisy and scaled, [N, D, ...]."""
+        frame = torch.cat([call(self.env) for call in calls.values()], dim=1) * self._scale
+        if not self.cfg.enable_corruption:
+            return frame
+        uniform = self.cfg.noise_source(self.env, frame)  # in [0, 1)
+        return torch.addcmul(frame - self._noise, uniform, 2.0 * self._noise)
+
     def _shifted(self, frame: Tensor) -> Tensor:
-        """The history with `frame` [N, D] in place of its oldest frame; each term's frames stand together."""
-        widths = list(self.widths.values())
-        past = self._history.split([width * self.cfg.history for width in widths], dim=1)
-        pairs = zip(past, frame.split(widths, dim=1), strict=True)
+        """The history with `frame` [N, D, ...] in place of its oldest frame; each term's frames stand together."""
+        past = self._history.split([width * self.history for width in self._widths], dim=1)
+        pairs = zip(past, frame.split(self._widths, dim=1), strict=True)
         return torch.cat([part for old, new in pairs for part in (old[:, new.shape[1] :], new)], dim=1)
+
+
+def _check_numbers(where: str, cfg: ObservationTermCfg) -> None:
+    if not math.isfinite(cfg.scale):
+        raise UserError(f"{where}: scale is {cfg.scale:g}; it must be a finite number.")
+    if not 0.0 <= cfg.noise < math.inf:
+        raise UserError(f"{where}: noise is {cfg.noise:g}; it must be a half-width of 0 or more.")
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))

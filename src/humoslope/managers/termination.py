@@ -1,4 +1,4 @@
-"""When an episode ends, and whether that is a failure."""
+"""Terminations: the ends of episodes, as failures or as time-outs."""
 
 from __future__ import annotations
 
@@ -18,14 +18,23 @@ if TYPE_CHECKING:
 
 @dataclass
 class TerminationTermCfg(TermCfg):
-    """`func(env, **params) -> [N] bool`. A `time_out` is no failure:
-    the value of what would have followed is bootstrapped."""
+    """Termination `func(env, **params) -> [N]` (bool).
+
+    Attributes:
+        time_out: Whether the episode is cut short rather than failed, so that a learner bootstraps the value of its
+            last state.
+    """
 
     time_out: bool = False
 
 
 class TerminationManager:
-    """Computes which worlds end, and why."""
+    """Computes which episodes end, and why.
+
+    Attributes:
+        terminated: [N] bool; episodes that failed in the last step.
+        time_outs: [N] bool; episodes that ended in the last step without failing.
+    """
 
     def __init__(self, env: Env, cfg: Terms[TerminationTermCfg]) -> None:
         self._env = env
@@ -37,29 +46,33 @@ class TerminationManager:
         self.terminated = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.time_outs = self.terminated.clone()
         self._hits = [self.terminated.clone() for _ in self.names]
-        self._nobody = self.terminated.clone()
+        self._nowhere = self.terminated.clone()
 
     def compute(self) -> Tensor:
-        """The worlds [N] (bool) whose episode ends now;
-        `terminated` are the failures, `time_outs` the others among them."""
+        """Returns the envs [N] (bool) whose episode ends now, and sets `terminated` and `time_outs`."""
         self._hits = [call(self._env) for call in self._calls]
         self.terminated = self._any(time_out=False)
         self.time_outs = self._any(time_out=True) & ~self.terminated
         return self.terminated | self.time_outs
 
     def _any(self, time_out: bool) -> Tensor:
-        """The worlds [N] that were hit by a term of this sort."""
+        """The envs [N] in which a term of this sort holds."""
         hits = [hit for hit, sort in zip(self._hits, self._time_out, strict=True) if sort == time_out]
-        return functools.reduce(torch.logical_or, hits, self._nobody)
+        return functools.reduce(torch.logical_or, hits, self._nowhere)
 
-    def reset(self, mask: Tensor) -> None:
-        """Logs why the worlds in `mask` ended, as shares."""
+    def reset(self, mask: Tensor, counted: Tensor | None = None) -> None:
+        """Logs the shares of the reasons for which the episodes in `mask` [N] ended, and resets the stateful terms.
+
+        Args:
+            counted: [N] bool; the episodes whose reason is logged, all in `mask` by default.
+        """
         if self._hits:
-            self._env.log.add_columns(self._curves, torch.stack(self._hits, dim=1).to(torch.float32), mask)
+            hits = torch.stack(self._hits, dim=1).to(torch.float32)
+            self._env.log.add_columns(self._curves, hits, mask if counted is None else mask & counted)
         self._stateful.reset(mask)
 
     def table(self) -> Table:
-        """What ends an episode."""
+        """Table of the terminations and their kind."""
         table = Table("termination", "kind", title="Terminations")
         for name, time_out in zip(self.names, self._time_out, strict=True):
             table.add_row(name, "time-out" if time_out else "failure")

@@ -1,10 +1,11 @@
-"""Named terms: how a configuration holds them, and how a manager makes them callable."""
+"""Named terms: their place in a configuration, and their binding to an environment."""
 
 from __future__ import annotations
 
 import inspect
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, ItemsView, Mapping
+from collections.abc import Callable, ItemsView, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -57,31 +58,37 @@ class Terms(Generic[T]):
 
 @dataclass
 class TermCfg(StrictCfg):
-    """A function or `StatefulTerm` class, and its parameters beyond the environment."""
+    """Term of a manager.
+
+    Attributes:
+        func: Function, or class derived from `StatefulTerm`.
+        params: Its arguments beyond the environment.
+    """
 
     func: Callable[..., Any]
     params: dict[str, Any] = field(default_factory=dict)
 
 
 class StatefulTerm(ABC):
-    """A term that remembers something between steps; constructed with the environment and the term's parameters."""
+    """Term with a memory between steps; constructed with the environment and the term's parameters."""
 
     @abstractmethod
     def reset(self, mask: Tensor) -> None:
-        """Forgets what belongs to the envs in `mask` [N]."""
+        """Clears the memory of the envs in `mask` [N]."""
 
 
 def bind(kind: str, name: str, term: TermCfg, env: Env, implicit: tuple[str, ...] = ("env",)) -> Callable[..., Any]:
-    """Makes a term callable as `call(*implicit)`, its parameters filled in.
+    """Returns a term as `call(*implicit)`, its parameters filled in.
 
     Args:
         kind: "reward", "event", ... for messages.
-        implicit: Names of the arguments the manager gives at each call.
+        implicit: Names of the arguments that the manager passes at each call.
 
     Raises:
-        UserError: If the parameters do not fit the signature, or a class is not a `StatefulTerm`.
+        UserError: If the parameters do not fit the signature or are not finite, or a class is not a `StatefulTerm`.
     """
     where = f"{kind} '{name}'"
+    _check_finite(where, term.params)
     if not inspect.isclass(term.func):
         _check_params(where, term.func, term.params, implicit)
         return partial(term.func, **term.params)
@@ -94,10 +101,10 @@ def bind(kind: str, name: str, term: TermCfg, env: Env, implicit: tuple[str, ...
 
 
 def first_value(kind: str, name: str, call: Callable[..., Any], env: Env) -> Tensor:
-    """What a bound term gives when it is called for the first time.
+    """Value of a bound term in its first call.
 
     Raises:
-        UserError: What the term found wrong, with its name.
+        UserError: The term's own error, with the term's name in front.
     """
     try:
         value: Tensor = call(env)
@@ -117,6 +124,24 @@ def _check_params(where: str, func: Callable[..., Any], params: Mapping[str, Any
         raise UserError(f"{where}: parameter '{missing[0]}' of {getattr(func, '__name__', func)} has no value.")
 
 
+def _check_finite(where: str, params: Mapping[str, Any]) -> None:
+    for name, value in params.items():
+        for number in _numbers(value):
+            if not math.isfinite(number):
+                raise UserError(f"{where}: parameter '{name}' is {value}; it must be finite.")
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    """All floating-point numbers in a parameter, however nested."""
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, Mapping):
+        yield from _numbers(list(value.values()))
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _numbers(item)
+
+
 class StatefulTerms:
     """The stateful ones among a manager's terms, reset together."""
 
@@ -124,7 +149,7 @@ class StatefulTerms:
         self._terms: list[StatefulTerm] = []
 
     def keep(self, call: Callable[..., Any]) -> Callable[..., Any]:
-        """Remembers `call` if it has state; returns it."""
+        """Returns `call`, and keeps it to be reset if it is stateful."""
         if isinstance(call, StatefulTerm):
             self._terms.append(call)
         return call

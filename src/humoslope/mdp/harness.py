@@ -1,4 +1,4 @@
-"""The training harness: an assistive wrench that carries and uprights the robot, and the curriculum that takes it away.
+"""The training harness: an assistive wrench that carries and uprights the robot, and the curriculum that withdraws it.
 
 With it a policy meets walking before it has learnt to stand; without it, on few samples, it only ever stands still.
 It exists in training alone: no evaluation configures it, and a run that used it logs its strength.
@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import torch
 from torch import Tensor
 
-from humoslope.errors import UserError
+from humoslope.errors import UserError, require_not_negative, require_positive
+from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.managers.terms import StatefulTerm
 from humoslope.slope import quaternion, zmp
 
@@ -22,11 +24,13 @@ if TYPE_CHECKING:
 class Harness(StatefulTerm):
     """Step event: an upward force on the root and an uprighting torque on the torso, scaled by `scale` in [0, 1].
 
+    It acts from the start of an episode: a reset sets it for the state that the reset events have written.
+
     Args:
         support: Upward force at full scale, as a share of body weight.
         stiffness: Torque about the horizontal axes per sine of the torso's lean, Nm.
         damping: Torque against the torso's horizontal angular velocity, Nm s/rad.
-        scale: Where it starts.
+        scale: Initial scale.
     """
 
     def __init__(
@@ -34,35 +38,91 @@ class Harness(StatefulTerm):
     ) -> None:
         if not 0.0 <= scale <= 1.0:
             raise UserError(f"harness: scale {scale} must be between 0 and 1.")
+        require_not_negative("harness", support=support, stiffness=stiffness, damping=damping)
         self.scale = torch.tensor(scale, device=env.device)
+        self._env = env
         self._lift = support * env.robot.total_mass * zmp.GRAVITY  # N
         self._stiffness, self._damping = stiffness, damping
-        wrench = env.sim.state("xfrc_applied")  # [N, bodies, 6]: force, torque; world frame
-        self._root = wrench[:, env.body_id(env.robot.root_body)]
-        self._torso = wrench[:, env.body_id(env.robot.torso_body)]
+        self._bodies = env.body_id(env.robot.root_body), env.body_id(env.robot.torso_body)
+        self._wrench = env.sim.state("xfrc_applied")  # [N, bodies, 6]: force, torque; world frame
         self._up = torch.tensor([[0.0, 0.0, 1.0]], device=env.device)
+        self._chain = _Chain(env.sim.model, *self._bodies, env.device)
 
     def __call__(self, env: Env, mask: Tensor) -> None:
-        torso_up_w = quaternion.matrix(env.signals.torso_quat_w)[:, :, 2]
-        uprighting = self._stiffness * torch.linalg.cross(torso_up_w, self._up)
-        torque = torch.sub(uprighting, env.signals.torso_ang_vel_w, alpha=self._damping)
-        self._root[:, 2].copy_(self._lift * self.scale)
-        self._torso[:, 3:5].copy_(torque[:, :2] * self.scale)
+        signals = env.signals
+        torso_up_w = quaternion.matrix(signals.torso_quat_w)[:, :, 2]
+        self._write(self._wrench, torso_up_w, signals.torso_ang_vel_w)
 
     def reset(self, mask: Tensor) -> None:
-        """Nothing is remembered: the physics clears the wrench of a world that starts anew."""
+        """Writes the wrench for the start of an episode into `env.start_wrench`."""
+        torso_up_w, ang_vel_w = self._chain(self._env.start_qpos, self._env.start_qvel)
+        self._write(self._env.start_wrench, torso_up_w, ang_vel_w)
+
+    def _write(self, wrench: Tensor, torso_up_w: Tensor, torso_ang_vel_w: Tensor) -> None:
+        """Writes the wrenches on root and torso into `wrench` [N, bodies, 6]."""
+        root, torso = self._bodies
+        uprighting = self._stiffness * torch.linalg.cross(torso_up_w, self._up)
+        torque = torch.sub(uprighting, torso_ang_vel_w, alpha=self._damping)
+        wrench[:, root, 2].copy_(self._lift * self.scale)
+        wrench[:, torso, 3:5].copy_(torque[:, :2] * self.scale)
 
 
-class HarnessCurriculum(StatefulTerm):
-    """Curriculum: the harness is taken away while the robots hardly fall and really walk.
+class _Chain:
+    """Forward kinematics from a floating root to one body, through hinges.
+
+    What the physics will only know after the reset, for which the wrench is needed before it.
+    """
+
+    def __init__(self, model: mujoco.MjModel, root: int, body: int, device: torch.device) -> None:
+        self._links: list[tuple[Tensor, list[tuple[Tensor, Tensor, int, int]]]] = []
+        while body != root:
+            hinges = []
+            first, count = model.body_jntadr[body], model.body_jntnum[body]
+            for joint in range(first, first + count):
+                if body == 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+                    raise UserError("harness: only hinge joints may connect the robot's root with its torso.")
+                axis = torch.tensor(model.jnt_axis[joint], dtype=torch.float32, device=device)
+                cross = torch.linalg.cross(axis.expand(3, 3), torch.eye(3, device=device)).T  # cross @ v = axis x v
+                hinges.append((axis, cross, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])))
+            frame = torch.tensor(model.body_quat[body], dtype=torch.float32, device=device)
+            self._links.insert(0, (quaternion.matrix(frame), hinges))
+            body = int(model.body_parentid[body])
+        self._eye = torch.eye(3, device=device)
+
+    def __call__(self, qpos: Tensor, qvel: Tensor) -> tuple[Tensor, Tensor]:
+        """Up axis and angular velocity of the body in the world frame, [N, 3] each, from `qpos` and `qvel`."""
+        rotation = quaternion.matrix(qpos[:, 3:7])  # [N, 3, 3]
+        ang_vel = (rotation @ qvel[:, 3:6, None]).squeeze(2)  # MuJoCo has a free joint's in the body frame
+        for frame, hinges in self._links:
+            rotation = rotation @ frame
+            for axis, cross, position, velocity in hinges:
+                ang_vel = ang_vel + (rotation @ axis) * qvel[:, velocity, None]
+                angle = qpos[:, position, None, None]
+                turn = self._eye + angle.sin() * cross + (1.0 - angle.cos()) * (cross @ cross)  # Rodrigues
+                rotation = rotation @ turn
+        return rotation[:, :, 2], ang_vel
+
+
+def commanded_and_walked(env: Env) -> tuple[Tensor, Tensor]:
+    """Commanded speed along the ground, whatever its direction, and speed of the root in that direction; [N] each, m/s.
+
+    Both are zero in envs that are commanded to stand.
+    """
+    command = env.commands.velocity[:, :2]  # [N, 2] forward and left
+    speed = command.norm(dim=1)
+    along = (env.signals.root_lin_vel_t[:, :2] * command).sum(dim=1)
+    return speed, along / speed.clamp(min=1e-6)
+
+
+class HarnessCurriculum(CurriculumTerm):
+    """Curriculum: the harness is withdrawn while the robots hardly fall and really walk.
 
     Args:
         event: Name of the `Harness` event.
-        rate: Scale taken away per second of training time in one world. 0.0083 is 0.004 in a rollout of 24 steps of 20
-            ms.
-        falls_per_second: Falls per world and second above which it is left as it is.
-        speed_share: Share of the commanded speed below which it is left as it is: standing still in the harness is no
-            skill.
+        rate: Scale withdrawn per second of training time in one env. 0.0083 is 0.004 in a rollout of 24 steps of 20 ms.
+        falls_per_second: Falls per env and second from which the harness is left as it is.
+        speed_share: Share of the commanded speed, in whatever direction, up to which it is left as it is: standing
+            still in the harness is no skill.
         memory_s: Time over which both are averaged, s.
     """
 
@@ -78,11 +138,12 @@ class HarnessCurriculum(StatefulTerm):
         harness = env.events[event]
         if not isinstance(harness, Harness):
             raise UserError(f"harness curriculum: event '{event}' is not a Harness.")
+        require_not_negative("harness curriculum", rate=rate, falls_per_second=falls_per_second)
+        require_positive("harness curriculum", memory_s=memory_s)
         self._harness, self._rate = harness, rate
         self._most_falls, self._least_speed = falls_per_second, speed_share
-        self._keep = 1.0 - env.step_dt / memory_s
-        # Starts as if everyone fell and nobody walked,
-        # so that nothing is withdrawn before the robots have proven themselves.
+        self._keep = max(0.0, 1.0 - env.step_dt / memory_s)
+        # Starts as if every robot fell and none walked: nothing is withdrawn before they have proven themselves.
         self._falls = torch.ones((), device=env.device)  # per second
         self._speed = torch.zeros((), device=env.device)  # share of the commanded one
 
@@ -91,25 +152,24 @@ class HarnessCurriculum(StatefulTerm):
         """Present scale of the harness."""
         return self._harness.scale
 
-    def __call__(self, env: Env, mask: Tensor) -> Tensor:
+    def step(self, env: Env) -> Tensor:
+        """Withdraws a little where it is deserved; returns the scale."""
         falls = env.terminations.terminated.mean(dtype=torch.float32) / env.step_dt
-        asked, walked = env.commands.velocity[:, 0], env.signals.root_lin_vel_t[:, 0]
-        speed = (walked * (asked > 0.0)).sum() / asked.sum().clamp(min=1e-6)
+        commanded, walked = (speed.sum() for speed in commanded_and_walked(env))
+        # Where every robot is commanded to stand, nothing is learnt about walking.
+        share = torch.where(commanded > 0.0, walked / commanded, self._speed)
         self._falls = torch.lerp(falls, self._falls, self._keep)
-        self._speed = torch.lerp(speed, self._speed, self._keep)
+        self._speed = torch.lerp(share, self._speed, self._keep)
         able = (self._falls < self._most_falls) & (self._speed > self._least_speed)
         self._harness.scale = (self._harness.scale - self._rate * env.step_dt * able).clamp(min=0.0)
         return self._harness.scale
-
-    def reset(self, mask: Tensor) -> None:
-        """Nothing belongs to a single world."""
 
     def state_dict(self) -> dict[str, Any]:
         """Scale, fall rate and speed."""
         return {"scale": self._harness.scale.item(), "falls": self._falls.item(), "speed": self._speed.item()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continues where `state_dict` was taken."""
+        """Restores the result of `state_dict`."""
         self._harness.scale = torch.tensor(state["scale"], device=self._falls.device)
         self._falls = torch.tensor(state["falls"], device=self._falls.device)
         self._speed = torch.tensor(state["speed"], device=self._speed.device)

@@ -90,15 +90,23 @@ class NativeSimulation:
                 raise
             raise UserError("MuJoCo's memory is full of contacts; raise <size memory> in the model.") from error
 
-    def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
+    def reset(
+        self,
+        mask: Tensor,
+        qpos: Tensor,
+        qvel: Tensor,
+        ctrl: Tensor | None = None,
+        xfrc_applied: Tensor | None = None,
+    ) -> None:
         """See `Simulation.reset`."""
         check_reset(self.model, self.num_worlds, mask, qpos, qvel)
         chosen = mask.numpy()
         if not chosen.any():
             return
         self._rows[chosen] = self._fresh
-        self._state["qpos"][chosen] = qpos.numpy()[chosen]
-        self._state["qvel"][chosen] = qvel.numpy()[chosen]
+        for field, value in (("qpos", qpos), ("qvel", qvel), ("ctrl", ctrl), ("xfrc_applied", xfrc_applied)):
+            if value is not None:
+                self._state[field][chosen] = value.numpy()[chosen]
         self._full_before += self._warning[chosen][:, _FULL_KINDS, 1].sum(axis=0)
         self._warning[chosen] = 0
         self._batch.forward(ids=chosen)

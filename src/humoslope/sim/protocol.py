@@ -67,11 +67,22 @@ class Simulation(Protocol):
         """
         ...
 
-    def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
-        """Starts the worlds in `mask` [N] anew from `qpos` [N, nq] and `qvel` [N, nv]; their readings are refreshed.
+    def reset(
+        self,
+        mask: Tensor,
+        qpos: Tensor,
+        qvel: Tensor,
+        ctrl: Tensor | None = None,
+        xfrc_applied: Tensor | None = None,
+    ) -> None:
+        """Starts the worlds in `mask` [N] anew; their readings become those of the new state, controls and wrenches.
 
-        Controls, wrenches, warm start and time of those worlds become zero.
-        The other worlds and their readings stay as they are.
+        Warm start and time of those worlds become zero. The other worlds and their readings stay as they are.
+
+        Args:
+            qpos, qvel: [N, nq] and [N, nv].
+            ctrl: [N, nu]; zero by default.
+            xfrc_applied: [N, nbody, 6] force and torque on each body; zero by default.
         """
         ...
 

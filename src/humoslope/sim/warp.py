@@ -78,6 +78,7 @@ class WarpSimulation:
         self._expanded: dict[str, Tensor] = {}
         self._readings: dict[str, tuple[Tensor, Tensor]] = {}  # what was handed out, and MuJoCo-Warp's own array
         self._qpos, self._qvel = self.state("qpos"), self.state("qvel")
+        self._ctrl, self._wrench = self.state("ctrl"), self.state("xfrc_applied")
         zeroed = ("ctrl", "xfrc_applied", "qfrc_applied", "qacc_warmstart", "act", "time")
         self._zeroed = [wp.to_torch(getattr(self._d, field)) for field in zeroed]
 
@@ -120,13 +121,23 @@ class WarpSimulation:
         for reading, live in self._readings.values():
             reading.copy_(live)
 
-    def reset(self, mask: Tensor, qpos: Tensor, qvel: Tensor) -> None:
+    def reset(
+        self,
+        mask: Tensor,
+        qpos: Tensor,
+        qvel: Tensor,
+        ctrl: Tensor | None = None,
+        xfrc_applied: Tensor | None = None,
+    ) -> None:
         """See `Simulation.reset`. The forces of all worlds are computed; those outside the mask are left unread."""
         check_reset(self.model, self.num_worlds, mask, qpos, qvel)
         _replace(self._qpos, mask, qpos)
         _replace(self._qvel, mask, qvel)
         for array in self._zeroed:
             array.masked_fill_(_like(mask, array), 0.0)
+        for target, value in ((self._ctrl, ctrl), (self._wrench, xfrc_applied)):
+            if value is not None:
+                _replace(target, mask, value)
         self._run("forward", mjw.forward)
         for reading, live in self._readings.values():
             _replace(reading, mask, live)
