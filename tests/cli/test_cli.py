@@ -73,11 +73,6 @@ def test_a_policy_walks_in_a_process_of_its_own(folder, untrained, verb, options
         (["train"], "train needs a task: HumoSlope-Stage1-"),
         (["train", "--env.num-envs", "3"], "train needs a task"),
         (["train", "HumoSlope-Stage1-Unitree-G2"], f"did you mean '{TASK}'?"),
-        (["train", TASK, "--env.rewards.aliv.weight", "2"], "did you mean '--env.rewards.alive.weight'?"),
-        (["train", TASK, "--env.rewards.alive.wieght=2"], "did you mean '--env.rewards.alive.weight'?"),
-        (["train", TASK, "--env.num_env", "2"], "did you mean '--env.num-envs'?"),
-        (["train", TASK, "--resum", "latest"], "did you mean '--resume'?"),
-        (["train", TASK, "fast"], "'fast' follows no option"),
         (["terrain", "ramp-upp"], "did you mean 'ramp-up'?"),
         (["bench", "HumoSlope-Stage1-Unitree-G2"], f"did you mean '{TASK}'?"),
         (["bench", TASK, "--sizes", "0"], "sizes and rounds must be at least 1"),
@@ -87,6 +82,32 @@ def test_a_policy_walks_in_a_process_of_its_own(folder, untrained, verb, options
 )
 def test_a_misspelt_name_is_answered_with_the_nearest(mistake, folder, arguments, said):
     assert said in mistake(*arguments)
+    assert content(folder) == {}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "near"),
+    [
+        (["train", TASK, "--env.rewards.aliv.weight", "2"], "--env.rewards.alive.weight FLOAT"),
+        (["train", TASK, "--env.rewards.alive.wieght=2"], "--env.rewards.alive.weight FLOAT"),
+        (["train", TASK, "--env.num_env", "2"], "--env.num-envs INT"),
+        (["train", TASK, "--env.scene.terrain.columns.ramp-upp", "1"], "--env.scene.terrain.columns.ramp-up FLOAT"),
+        (["train", TASK, "--agent.hiden-dims", "8"], "--agent.hidden-dims"),
+        (["train", TASK, "--resum", "latest"], "--resume STR"),
+        (["train", TASK, "fast"], "Unrecognized options: fast"),
+        (["bench", TASK, "--round", "1"], "--rounds INT"),
+        (["evaluate", "model_0.pt", "--swep"], "--sweep"),
+        (["ramps", "model_0.pt", "--start", "1"], "--starts INT"),
+        (["terrain", "ramp-up", "--sede", "1"], "--seed INT"),
+    ],
+)
+def test_a_mistyped_option_is_answered_with_the_nearest(capsys, folder, arguments, near):
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    said = capsys.readouterr().err
+    assert stop.value.code == 2
+    assert "Unrecognized options" in said
+    assert near in said
     assert content(folder) == {}
 
 
@@ -196,7 +217,7 @@ def test_a_checkpoint_that_does_not_fit_leaves_the_run_as_it_was(mistake, folder
     (folder / "run" / "model_0.pt").write_bytes(untrained.read_bytes())
     before = content(folder)
     narrow = ["--agent.hidden-dims", "8"]
-    assert "add --agent.hidden-dims 24 16" in mistake("train", TASK, *SMALL, *narrow, "--resume", "run")
+    assert "add --agent.hidden-dims 24 16" in mistake("train", TASK, *narrow, "--resume", "run")
     assert content(folder) == before
 
 

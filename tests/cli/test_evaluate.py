@@ -69,7 +69,7 @@ def test_what_was_walked_is_not_walked_again_unless_asked_for(
 ) -> None:
     first, printed = evaluate()
     assert "goes on" not in printed
-    monkeypatch.setattr("humoslope.cli.evaluate.git_state", lambda: "commit of tomorrow\n")
+    monkeypatch.setattr("humoslope.evaluation.track.run.git_state", lambda: "commit of tomorrow\n")
     more, printed = evaluate("--trials", "3")
     monkeypatch.undo()
     assert "goes on with 4 trials" in printed

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Annotated, Any, Generic, Protocol, TypeVar
 
+import docstring_parser
 import tyro
 
-from humoslope.cli.overrides import mirror_type, option_names, write_back
-from humoslope.errors import UserError, unknown
+from humoslope.cli.overrides import task_rules
+from humoslope.env import EnvCfg
+from humoslope.learning.config import AgentCfg
 from humoslope.learning.run_folder import saved_options
 from humoslope.presets import Preset, apply_preset, resolve_preset
 from humoslope.registry import TaskCfg, build_task
@@ -26,43 +28,51 @@ class HasPreset(Protocol):
 A = TypeVar("A", bound=HasPreset)
 
 
+@dataclasses.dataclass(frozen=True)
+class _Command(Generic[A]):
+    """All options of a verb that takes a task.
+
+    Attributes:
+        env: The environment.
+        agent: The learner.
+    """
+
+    own: Annotated[A, tyro.conf.arg(name="")]
+    env: EnvCfg
+    agent: AgentCfg
+
+
 def parse(own: A, task: str, options: list[str], verb: str = "train", base: TaskCfg | None = None) -> tuple[TaskCfg, A]:
-    """The task's configuration with preset and overrides applied, and the verb's own options.
+    """Configuration of a task with preset and overrides applied, and the verb's own options.
+
+    An option that does not exist ends the process with exit code 2 and the nearest match.
 
     Args:
-        own: The verb's options with their defaults, a dataclass.
+        own: Options of the verb with their defaults, a dataclass.
         task: Name of the task.
-        options: As typed.
-        base: A configuration to apply the options to, as it is; by default the task's own with the preset.
+        options: Command line after the task.
+        verb: Name of the verb, for the help text.
+        base: Configuration that the options change; by default the task's own with the preset.
 
     Raises:
-        UserError: If the task or an option does not exist.
+        UserError: If the task does not exist, or a value is impossible.
     """
     preset = resolve_preset(early(own, task, options, verb).preset)
     cfg = base or build_task(task)
     if base is None:
         apply_preset(cfg, preset)
-    mirrored = mirror_type("Options", {**vars(own), "env": cfg.env, "agent": cfg.agent})
-    assert mirrored is not None
-    kind, default = mirrored
-    found: Any = tyro.cli(
-        kind,
+    kind: Any = _Command
+    parsed: _Command[A] = tyro.cli(
+        kind[type(own)],
         args=options,
-        default=default,
+        default=_Command(own, cfg.env, cfg.agent),
         prog=f"humoslope {verb} {task}",
-        description=type(own).__doc__ or "",
-        return_unknown_args=True,
+        description=docstring_parser.parse(type(own).__doc__ or "").description,
+        config=(tyro.conf.AvoidSubcommands, tyro.conf.SuppressFixed, tyro.conf.HelptextFromCommentsOff),
+        registry=task_rules(),
     )
-    parsed, strange = found
-    if strange and strange[0].startswith("-"):
-        raise unknown("option", strange[0].partition("=")[0], option_names(default))
-    if strange:
-        raise UserError(f"'{strange[0]}' follows no option; options look like --env.num-envs 64.")
-    write_back(cfg.env, parsed.env)
-    write_back(cfg.agent, parsed.agent)
-    names = [f.name for f in dataclasses.fields(own)]  # type: ignore[arg-type]
-    values = {name: getattr(parsed, name) for name in names} | {"preset": preset}
-    return cfg, type(own)(**values)
+    cfg.env, cfg.agent = parsed.env, parsed.agent
+    return cfg, type(own)(**vars(parsed.own) | {"preset": preset})
 
 
 def early(own: A, task: str, options: list[str], verb: str = "train") -> A:

@@ -1,87 +1,116 @@
-"""Any field of a configuration as a command-line option.
+"""Rules by which tyro shows the fields of a task's configuration as options, and lists of options as typed.
 
-tyro needs a type whose fields it can list. Configurations hold named terms and free parameters as well as dataclasses,
-so a dataclass with the same structure is made from the values themselves, shown to tyro, and what came back is written
-into the configuration.
+tyro lists dataclasses, mappings and choices by itself. It is told here that `Terms` are listed by name, that a term has
+the parameters of its function as options, also those that the task leaves to their defaults, and that a robot is fixed.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
-import re
-from collections.abc import Callable, Iterator
-from functools import lru_cache
-from typing import Annotated, Any, Literal, get_origin, get_type_hints
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import SimpleNamespace
+from typing import Annotated, Any, get_type_hints
 
-import tyro
+import docstring_parser
+from tyro.conf import Fixed
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from humoslope.managers.terms import TermCfg, Terms
 from humoslope.scene.robot import Robot
 
-PLAIN = (bool, int, float, str)
+
+class _Params(dict[str, Any]):
+    """Parameters of a term in the command line's eyes: its own, and the defaults of its function."""
+
+    def __init__(self, term: TermCfg) -> None:
+        parameters = inspect.signature(term.func).parameters.values()
+        self.defaults = {p.name: p.default for p in parameters if p.default is not inspect.Parameter.empty}
+        super().__init__(self.defaults | term.params)
+        self.func, self.set = term.func, term.params
+
+    def parsed(self, **values: Any) -> dict[str, Any]:
+        """The term's parameters after parsing; a default that was not changed stays with the function."""
+        return {k: v for k, v in values.items() if k in self.set or v != self.defaults[k]}
 
 
-def mirror_type(name: str, value: Any, helps: dict[str, str] | None = None) -> tuple[type, Any] | None:
-    """A dataclass type with the fields of `value` that can be written on a command line,
-    and an instance with its values.
+def task_rules() -> ConstructorRegistry:
+    """Rules for the configuration of a task."""
+    registry = ConstructorRegistry()
+    for rule in (_terms, _term, _params, _mapping, _robot):
+        registry.struct_rule(rule)
+    return registry
 
-    None if there are none. `helps` says what the fields are; by default the docstring of the value's class does.
-    """
-    fields: list[tuple[str, Any, Any]] = []
-    values: dict[str, Any] = {}
-    hints = _hints(value)
-    described_by: Any = type(value)
-    helps = documented(described_by, "Attributes") if helps is None else helps
-    for key, child in _children(value).items():
-        kind, default = hints.get(key, _annotation(child)), child
-        if kind is None:
-            if isinstance(value, TermCfg) and key == "params":
-                whole = _defaults(value.func) | child
-                nested = mirror_type(f"{name}_{key}", whole, documented(value.func, "Args"))
-            else:
-                nested = mirror_type(f"{name}_{key}", child)
-            if nested is None:
-                continue
-            kind, default = nested
-        # With the help given here tyro does not look for it in sources, which takes it seconds.
-        described = Annotated[kind, tyro.conf.arg(help=helps.get(key, ""))]  # type: ignore[valid-type]
-        fields.append((key, described, dataclasses.field(default=default)))
-        values[key] = default
-    if not fields:
+
+def _terms(info: StructTypeInfo) -> StructConstructorSpec | None:
+    if not isinstance(info.default, Terms):
         return None
-    made = dataclasses.make_dataclass(name, fields, frozen=True)
-    return made, made(**values)
+    fields = [StructFieldSpec(name, type(term), term, partial(_summary, term)) for name, term in info.default.items()]
+    return StructConstructorSpec(type(info.default), tuple(fields))
 
 
-def write_back(value: Any, mirror: Any) -> None:
-    """Writes the fields of `mirror`, made by `mirror_type`, into the configuration `value`."""
-    for field in dataclasses.fields(mirror):
-        new = getattr(mirror, field.name)
-        # What a term's parameters leave to their defaults is in the mirror alone.
-        old = _children(value).get(field.name, field.default)
-        if _annotation(old) is None:
-            if dataclasses.is_dataclass(old) and not isinstance(old, type) and old.__dataclass_params__.frozen:  # type: ignore[attr-defined]
-                _set(value, field.name, _replaced(old, new))
-            else:
-                write_back(old, new)
-        elif new != old:
-            _set(value, field.name, new)
+def _term(info: StructTypeInfo) -> StructConstructorSpec | None:
+    if not isinstance(info.default, TermCfg):
+        return None
+    term, kind = info.default, type(info.default)
+    hints, own = get_type_hints(kind), [f.name for f in dataclasses.fields(kind) if f.name not in ("func", "params")]
+    fields = [StructFieldSpec(name, hints[name], getattr(term, name), partial(_help, kind, name)) for name in own]
+    fields.append(StructFieldSpec("params", _Params, _Params(term), ""))
+    return StructConstructorSpec(partial(dataclasses.replace, term), tuple(fields))
 
 
-def option_names(mirror: Any, prefix: str = "--") -> Iterator[str]:
-    """The options that an instance made by `mirror_type` has on the command line,
-    such as --env.rewards.alive.weight."""
-    for field in dataclasses.fields(mirror):
-        value, name = getattr(mirror, field.name), prefix + field.name.replace("_", "-")
-        if dataclasses.is_dataclass(value):
-            yield from option_names(value, f"{name}.")
-        else:
-            yield name
+def _params(info: StructTypeInfo) -> StructConstructorSpec | None:
+    if not isinstance(info.default, _Params):
+        return None
+    func, values = info.default.func, info.default.items()
+    fields = [StructFieldSpec(k, _parameter_type(func, k, v), v, partial(_help, func, k)) for k, v in values]
+    return StructConstructorSpec(info.default.parsed, tuple(fields))
+
+
+def _mapping(info: StructTypeInfo) -> StructConstructorSpec | None:
+    if not isinstance(info.default, Mapping) or isinstance(info.default, Terms | _Params):
+        return None
+    fields = [StructFieldSpec(k, type(v), v, f"Value for '{k}', see above.") for k, v in info.default.items()]
+    return StructConstructorSpec(dict, tuple(fields))
+
+
+def _robot(info: StructTypeInfo) -> StructConstructorSpec | None:
+    # Its model would not follow its fields.
+    return StructConstructorSpec(lambda: info.default, ()) if isinstance(info.default, Robot) else None
+
+
+def _parameter_type(func: Callable[..., Any], name: str, value: Any) -> Any:
+    """Annotated type of a parameter of `func`, or else the type of its value."""
+    function: Any = func.__init__ if inspect.isclass(func) else func
+    annotations = {k: v for k, v in function.__annotations__.items() if k == name}
+    try:
+        # One by one: others may be imported for type checking alone.
+        return get_type_hints(SimpleNamespace(__annotations__=annotations), function.__globals__)[name]
+    except (KeyError, NameError):
+        return Annotated[Any, Fixed] if value is None else type(value)
+
+
+# Docstrings are read for the help alone, which tyro asks for when it prints it.
+
+
+def _summary(thing: Any) -> str:
+    """First lines of the docstring of a term's function, or of a group's class."""
+    subject = thing.func if isinstance(thing, TermCfg) else type(thing)
+    return docstring_parser.parse(subject.__doc__ or "").short_description or ""
+
+
+def _help(subject: Any, name: str) -> str:
+    """Description of a parameter or attribute in the docstring of a function or class, or of the class's bases."""
+    for one in inspect.getmro(subject) if inspect.isclass(subject) else (subject,):
+        for entry in docstring_parser.parse(one.__doc__ or "").params:
+            if name in entry.arg_name.split(", "):  # "along, across: Offset from ..., m."
+                return " ".join((entry.description or "").split())
+    return ""
 
 
 def merge_options(first: list[str], then: list[str], without: tuple[str, ...] = ()) -> list[str]:
-    """Both lists of options as one, in which what comes later replaces what is of the same name.
+    """Two lists of options as one, in which a later option replaces an earlier one of the same name.
 
     Args:
         without: Names to leave out.
@@ -91,7 +120,7 @@ def merge_options(first: list[str], then: list[str], without: tuple[str, ...] = 
 
 
 def option_groups(options: list[str]) -> dict[str, list[str]]:
-    """Each option's words by its name, however that was spelt. Of options with the same name the last one holds."""
+    """Words of each option by its name, written with dashes. Of several options with one name the last one counts."""
     groups: dict[str, list[str]] = {}
     name = ""
     for word in options:
@@ -100,75 +129,3 @@ def option_groups(options: list[str]) -> dict[str, list[str]]:
             groups.pop(name, None)
         groups.setdefault(name, []).append(word)
     return groups
-
-
-def _replaced(old: Any, mirror: Any) -> Any:
-    changes = {f.name: getattr(mirror, f.name) for f in dataclasses.fields(mirror)}
-    plain = {k: v for k, v in changes.items() if _annotation(getattr(old, k)) is not None}
-    changed = dict(plain)
-    for name in changes.keys() - plain.keys():
-        mapping = getattr(old, name)
-        changed[name] = dict(mapping) | {_keys(mapping)[k]: v for k, v in dataclasses.asdict(changes[name]).items()}
-    return dataclasses.replace(old, **changed) if any(getattr(old, k) != v for k, v in changed.items()) else old
-
-
-def _set(value: Any, key: str, new: Any) -> None:
-    if isinstance(value, dict):
-        value[_keys(value).get(key, key)] = new
-    else:
-        setattr(value, key, new)
-
-
-def _children(value: Any) -> dict[str, Any]:
-    if isinstance(value, Robot):
-        return {}  # what it is, not how it is used: its model would not follow
-    if isinstance(value, Terms):
-        return dict(value.items())
-    if isinstance(value, dict):
-        return {field: value[key] for field, key in _keys(value).items()}
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-    return {}
-
-
-def _defaults(func: Callable[..., Any]) -> dict[str, Any]:
-    """The parameters of a term that have a value of their own."""
-    parameters = inspect.signature(func).parameters.values()
-    return {p.name: p.default for p in parameters if p.default is not inspect.Parameter.empty}
-
-
-def _keys(mapping: dict[str, Any]) -> dict[str, str]:
-    """Field names for the keys of a mapping: "ramp-up" becomes ramp_up, as a Python name and as an option."""
-    return {key.replace("-", "_"): key for key in mapping if key.replace("-", "_").isidentifier()}
-
-
-def _hints(value: Any) -> dict[str, Any]:
-    """Types of a dataclass's fields that its values alone do not tell: choices, and numbers that need not be whole."""
-    if not dataclasses.is_dataclass(value):
-        return {}
-    try:
-        hints = get_type_hints(type(value))
-    except NameError:  # of a type that is only imported for type checking
-        return {}
-    return {name: hint for name, hint in hints.items() if hint is float or get_origin(hint) is Literal}
-
-
-@lru_cache(maxsize=1024)
-def documented(thing: Any, section: str) -> dict[str, str]:
-    """What a docstring says of each name in its section "Attributes" or "Args"."""
-    _, _, entries = inspect.cleandoc(thing.__doc__ or "").partition(f"{section}:\n")
-    found = re.finditer(r"^    ([\w, ]+): (.*(?:\n {8}.*)*)", entries, re.MULTILINE)
-    return {name: " ".join(m[2].split()) for m in found for name in m[1].split(", ")}
-
-
-def _annotation(value: Any) -> Any:
-    """The type of a value that can be written on a command line, or None."""
-    if isinstance(value, PLAIN):
-        return type(value)
-    if isinstance(value, tuple) and value and all(isinstance(v, PLAIN) for v in value):
-        kinds = {type(v) for v in value}
-        if len(kinds) > 1:
-            return None
-        kind = kinds.pop()
-        return tuple[kind, ...] if kind is int else tuple[tuple([kind] * len(value))]  # type: ignore[valid-type, misc]
-    return None

@@ -5,10 +5,10 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, ItemsView, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from torch import Tensor
 
@@ -21,39 +21,44 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class Terms(Generic[T]):
-    """An ordered set of named terms with attribute access:
-    `cfg.rewards.alive.weight = 0.2`; assigning None takes a term away."""
+class Terms(dict[str, T]):
+    """Dictionary of named terms whose entries are attributes too.
+
+    `cfg.rewards.alive.weight = 0.2` changes a term, `cfg.rewards.alive = None` removes it. Names are Python identifiers
+    that no method of `dict` has.
+
+    Raises:
+        UserError: If a term is read or removed that does not exist (with the nearest match), or a name is not allowed.
+    """
 
     def __init__(self, **terms: T) -> None:
-        self.__dict__.update(terms)
+        super().__init__()
+        for name, term in terms.items():
+            self[name] = term
+
+    def __setitem__(self, name: str, term: T | None) -> None:
+        if term is None:
+            self.__delattr__(name)
+        elif not name.isidentifier() or hasattr(dict, name):
+            raise UserError(f"a term cannot be named '{name}'; it must be an identifier and no method of dict.")
+        else:
+            super().__setitem__(name, term)
 
     def __getattr__(self, name: str) -> T:
-        # Only reached when the name is not there.
+        # Only reached when `dict` has no attribute of that name.
+        if name in self:
+            return self[name]
         if name.startswith("__"):
             raise AttributeError(name)
-        raise unknown("term", name, self.__dict__)
+        raise unknown("term", name, self)
 
-    def __setattr__(self, name: str, value: T | None) -> None:
-        if value is None:
-            self.__delattr__(name)
-        else:
-            self.__dict__[name] = value
+    def __setattr__(self, name: str, term: T | None) -> None:
+        self[name] = term
 
     def __delattr__(self, name: str) -> None:
-        if name not in self.__dict__:
-            raise unknown("term", name, self.__dict__)
-        del self.__dict__[name]
-
-    def items(self) -> ItemsView[str, T]:
-        """Names and terms, in the order they were given."""
-        return self.__dict__.items()
-
-    def __len__(self) -> int:
-        return len(self.__dict__)
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.__dict__
+        if name not in self:
+            raise unknown("term", name, self)
+        del self[name]
 
 
 @dataclass

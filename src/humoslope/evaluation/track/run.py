@@ -1,0 +1,267 @@
+"""An evaluation on the track from its checkpoints to the written results; it can be interrupted and continued."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.live import Live
+from torch import Tensor
+
+import humoslope
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.errors import UserError
+from humoslope.evaluation.report.paper import read_paper
+from humoslope.evaluation.report.results import read_report, tell
+from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
+from humoslope.evaluation.track import store
+from humoslope.evaluation.track.arrays import each
+from humoslope.evaluation.track.progress import Progress, cell_table, view
+from humoslope.evaluation.track.protocol import HeldOutProtocol
+from humoslope.evaluation.track.store import Walked
+from humoslope.evaluation.track.sweep import ENOUGH, SlopeLimit, slope_limit
+from humoslope.evaluation.track.trials import HeldOutTrials, Relay, held_out_env_cfg, walk
+from humoslope.files import check_place, write_text
+from humoslope.interrupts import Interrupt, deferred_interrupts
+from humoslope.learning.policy import Provenance, load_actor
+from humoslope.provenance import git_state, plain
+from humoslope.registry import TaskCfg
+
+REFRESH_S = 2.0
+"""Time between two updates of the table on the screen, s."""
+SAVE_S = 60.0
+"""Time between two writes of the finished trials, s."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Settings of an evaluation beyond its protocol.
+
+    Attributes:
+        protocol: Track, grades, friction and rules of a trial.
+        sweep: Report the slope limit of a sweep instead of the paper's tables.
+        lanes: Trials of a cell that are walked in parallel.
+        fresh: Ignore trials that were saved before.
+        out: Path of the results without ending; None for a file beside the first checkpoint.
+        command_line: Command that the results are said to come from.
+    """
+
+    protocol: HeldOutProtocol
+    sweep: bool
+    lanes: int
+    fresh: bool
+    out: Path | None
+    command_line: str
+
+
+def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console: Console) -> bool:
+    """Walks the trials of all checkpoints that are missing and writes the results, also after an interruption.
+
+    Args:
+        checkpoints: Checkpoints of one method, each with its task as it was trained; their trials are pooled.
+
+    Returns:
+        True if all trials are finished, False if SIGINT or SIGTERM ended the evaluation early.
+
+    Raises:
+        UserError: If the plan is impossible, or a checkpoint is given twice.
+    """
+    if plan.lanes < 1:
+        raise UserError(f"evaluate: lanes is {plan.lanes}; each cell needs at least 1.")
+    plan.protocol.find_course()
+    sources = [source for source, _ in checkpoints]
+    for i, source in enumerate(sources):
+        if source.sha256 in (other.sha256 for other in sources[:i]):
+            raise UserError(f"evaluate: checkpoint '{source.path}' is given twice; its trials would count twice.")
+    out = plan.out or sources[0].path.with_suffix(".sweep" if plan.sweep else ".heldout")
+    check_place(_beside(out, ".json"))
+
+    evaluations: list[_Evaluation] = []
+    complete = True
+    with deferred_interrupts() as interrupt:
+        for source, task in checkpoints:
+            evaluation = _Evaluation(source, task, plan, out, console)
+            evaluations.append(evaluation)
+            complete = evaluation.walk(interrupt)
+            if not complete:
+                break
+    _conclude(console, evaluations, plan, len(checkpoints), out)
+    return complete
+
+
+class _Evaluation:
+    """Trials of one checkpoint, those saved before and those still to walk.
+
+    Attributes:
+        walked: Trials, time and code so far.
+    """
+
+    def __init__(self, source: Provenance, task: TaskCfg, plan: Plan, out: Path, console: Console) -> None:
+        self.source, self.protocol, self._console = source, plan.protocol, console
+        course = plan.protocol.find_course()
+        relay = Relay(plan.protocol, course, plan.lanes)
+        cfg = held_out_env_cfg(task.env, relay)
+        self._mark = store.fingerprint(cfg, relay, source.sha256)
+        self._path = _beside(out, f".{self._mark[:8]}.npz")
+        found = None if plan.fresh else store.load(self._path, self._mark, plan.protocol)
+        relay.earlier = found and found.trials
+        self.env = ManagerBasedRlEnv(cfg)
+        self._relay = relay
+        self._actor = load_actor(source.path, self.env, source.task)
+        self.walked = found or Walked(relay.trials(), 0.0, ())
+
+    @property
+    def finished(self) -> bool:
+        """True if no trial is left."""
+        return bool(self.walked.trials.finished.all())
+
+    def walk(self, interrupt: Interrupt) -> bool:
+        """Walks the trials that are left; returns True if all are finished."""
+        relay, protocol = self._relay, self.protocol
+        self._introduce()
+        shown = written = time.monotonic()
+        started = shown - self.walked.wall_clock_s
+        code = self.walked.code if self.finished else (*dict.fromkeys([*self.walked.code, _commit()]),)
+
+        def keep() -> None:
+            self.walked = Walked(relay.trials(), time.monotonic() - started, code)
+            store.save(self._path, self.walked, self._mark, protocol)
+
+        progress = Progress(relay.progress(), self.env.step_dt)
+        title = f"{self.source.task}, iteration {self.source.iteration}"
+
+        def picture() -> Any:
+            return view(relay.trials(), protocol, title, progress.line(relay.progress()))
+
+        def on_step(running: Tensor) -> None:
+            nonlocal shown, written
+            progress.step(int(running.sum()))
+            if interrupt.requested:
+                raise KeyboardInterrupt
+            now = time.monotonic()
+            if now - shown > REFRESH_S:
+                shown = now
+                live.update(picture())
+            if now - written > SAVE_S:
+                written = now
+                keep()
+
+        with Live(picture(), console=self._console, auto_refresh=False, transient=True) as live:
+            try:
+                walk(self.env, self._actor, relay, on_step)
+            except KeyboardInterrupt:
+                pass
+            finally:
+                keep()
+        return self.finished
+
+    def _introduce(self) -> None:
+        env, sim, protocol = self.env, self.env.cfg.sim, self.protocol
+        done = int(self.walked.trials.finished.sum())
+        lines = [
+            f"[bold]{self.source.task}[/bold], iteration {self.source.iteration}, "
+            f"{self.source.total_steps / 1e6:.2f} M steps; {self.source.path}",
+            f"{protocol.trials} trials in each of {protocol.num_cells} cells, {env.num_envs} worlds; physics "
+            f"'{env.sim.backend}' on {env.device}, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone",
+        ]
+        if departs := protocol.departures(HeldOutProtocol()):
+            lines.append(f"[yellow]departs from the protocol: {departs}[/yellow]")
+        if done:
+            lines.append(f"goes on with {done} trials that were finished before")
+        self._console.print("\n".join(lines), highlight=False, soft_wrap=True)
+
+
+def _conclude(console: Console, evaluations: list[_Evaluation], plan: Plan, checkpoints: int, out: Path) -> None:
+    protocol = plan.protocol
+    trials = each(lambda *parts: np.concatenate(parts), *(e.walked.trials for e in evaluations))
+    walked, wanted = int(trials.finished.sum()), checkpoints * protocol.num_trials
+    pooled = dataclasses.replace(protocol, trials=protocol.trials * checkpoints)
+    console.print(cell_table(trials, pooled, "Held-out track"))
+    partial = walked < wanted
+    if partial:
+        console.print(
+            f"[yellow]Partial: {walked} of {wanted} trials. Failures end sooner than successes, so the rates are too "
+            "low; the same command goes on.[/yellow]",
+            soft_wrap=True,
+        )
+    limit = None if partial or not plan.sweep else _limit(trials, protocol)
+    if limit is not None:
+        console.print(_say(limit, protocol), soft_wrap=True)
+    for evaluation in evaluations:
+        console.print(evaluation.source.training, soft_wrap=True, highlight=False)
+        for warning in evaluation.env.sim.warnings():
+            console.print(f"[yellow]physics: {warning}[/yellow]")
+    report = _report(evaluations, trials, plan) | {
+        "trials": wanted,
+        "partial": partial,
+        "slope_limit": None if limit is None else plain(limit),
+        "command_line": plan.command_line,
+    }
+    results = [read_report(report)]
+    sheets = [cells_table(results)]
+    if not plan.sweep:
+        paper = read_paper()
+        sheets = [main_table(results, paper), ablation_table(results, paper), diagnostics_table(results), *sheets]
+        sheets[0].show()
+    texts = {
+        ".json": json.dumps(report, indent=2, allow_nan=False) + "\n",
+        ".csv": sheets[-1].to_csv(),
+        ".md": "\n".join(sheet.to_markdown() for sheet in sheets),
+    }
+    for end, text in texts.items():
+        path = _beside(out, end)
+        write_text(path, text)
+        console.print(f"wrote {path}", soft_wrap=True)
+
+
+def _limit(trials: HeldOutTrials, protocol: HeldOutProtocol) -> SlopeLimit:
+    at = [trials.grade_index == g for g in range(len(protocol.grades))]
+    return slope_limit(protocol.grades, [int(trials.success[i].sum()) for i in at], [int(i.sum()) for i in at])
+
+
+def _say(limit: SlopeLimit, protocol: HeldOutProtocol) -> str:
+    if limit.grade is None:
+        steepest = f"below {min(protocol.grades):g}°"
+    else:
+        steepest = f"{limit.grade:g}°" + (" or more" if limit.beyond else "")
+    some = "none" if limit.any_success is None else f"{limit.any_success:g}°"
+    return f"Max grade, SR of {100 * ENOUGH:g} % and more up to there: {steepest}; steepest with any success: {some}"
+
+
+def _report(evaluations: list[_Evaluation], trials: HeldOutTrials, plan: Plan) -> dict[str, Any]:
+    env = evaluations[0].env
+    return {
+        "what": "sweep" if plan.sweep else "held-out",
+        "version": humoslope.__version__,
+        "code": ", ".join(dict.fromkeys(commit for e in evaluations for commit in e.walked.code)),
+        "checkpoints": [plain(e.source) for e in evaluations],
+        "protocol": plain(plan.protocol),
+        "lanes": plan.lanes,
+        "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
+        "wall_clock_s": round(sum(e.walked.wall_clock_s for e in evaluations), 1),
+        "finished": int(trials.finished.sum()),
+        "successes": int(trials.success.sum()),
+        **tell(
+            trials[trials.finished],
+            grades=plan.protocol.grades,
+            tiers=plan.protocol.tiers,
+            segments=plan.protocol.find_course().segments,
+            speed=plan.protocol.speed,
+            mass=env.robot.total_mass,
+        ),
+    }
+
+
+def _commit() -> str:
+    return git_state().splitlines()[0]
+
+
+def _beside(out: Path, ending: str) -> Path:
+    """`out` with an ending added; a name like model_1000.heldout keeps its dot."""
+    return out.with_name(out.name + ending)
