@@ -57,6 +57,17 @@ class Provenance:
         return f"{said} It started from {self.ancestor.task} after {steps}: {self.ancestor.training}"
 
 
+@dataclass(frozen=True)
+class PolicySpec:
+    """What a policy is made of.
+
+    Attributes:
+        groups: Observation groups that it reads.
+    """
+
+    groups: tuple[str, ...] = (GROUP,)
+
+
 class Actor:
     """A policy that always takes its most likely action.
 
@@ -68,6 +79,7 @@ class Actor:
     def __init__(self, module: MLPModel, provenance: Provenance) -> None:
         self.module = module
         self.provenance = provenance
+        self.spec = PolicySpec()
 
     @torch.inference_mode()
     def __call__(self, obs: TensorDict) -> Tensor:
