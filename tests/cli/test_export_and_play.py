@@ -9,7 +9,6 @@ from pathlib import Path
 
 import glfw
 import pytest
-import torch
 
 from humoslope.cli import main
 from humoslope.deploy import contract as contracts
@@ -38,20 +37,39 @@ def test_a_run_is_exported_beside_its_newest_checkpoint_with_its_own_configurati
 
     assert main(["play", str(tmp_path / "model_10.export"), "--headless", "--seconds", "5"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"It fell after \d\.\d s\. Way ", printed)
+    assert re.search(r"It fell after \d\.\d s\. Distance ", printed)
     assert "It was trained at 0.2 to 0.4 m/s." in printed
 
 
-def test_one_walk_is_told_and_several_are_counted(exported: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_trial_is_reported_and_several_are_counted(exported: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["play", str(exported), "--headless", "--seconds", "2.5", "--grade", "-10"]) == 0
     printed = capsys.readouterr().out
     assert "a ramp of -10 degrees, friction 0.8, 0.5 m/s asked; MuJoCo at 5 ms x 4" in printed
-    assert re.search(r"No fall in 2\.5 s\. Way [0-9.]+ m, mean speed from 2 s on 0\.\d+ m/s\.", printed)
+    assert re.search(r"No fall in 2\.5 s\. Distance [0-9.]+ m, speed from 2 s on 0\.\d+ m/s\.", printed)
     assert "trained at" not in printed
     assert main(["play", str(exported), "--headless", "--seconds", "0.5", "--trials", "2"]) == 0
     printed = capsys.readouterr().out
-    assert "Falls 0/2: 0.0 %, 95 % interval 0.0-65.8 %. Mean way" in printed
-    assert "mean speed from 2 s on -." in printed
+    assert "Falls 0/2: 0.0 %, 95 % interval 0.0-65.8 %. Means: distance" in printed
+    assert "speed from 2 s on -." in printed
+
+
+def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
+    exported: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["play", str(exported), "--headless", "--seconds", "3", "--speed", "0"]) == 0
+    printed = capsys.readouterr().out
+    assert "flat ground, friction 0.8, asked to stand; MuJoCo at" in printed
+    assert re.search(
+        r"No fall in 3 s\. Drift 0\.\d+ m; from 2 s on creep 0\.\d+ m/s, [0-9.]+ steps per second\.", printed
+    )
+    assert "trained at" not in printed
+    folder = Path(shutil.copytree(exported, tmp_path / "never stood"))
+    text = (folder / contracts.FILE).read_text()
+    (folder / contracts.FILE).write_text(text.replace('"trained_to_stand": true', '"trained_to_stand": false'))
+    assert main(["play", str(folder), "--headless", "--seconds", "0.5", "--speed", "0", "--trials", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert "It was trained at 0.3 to 0.8 m/s, and not to stand." in printed
+    assert re.search(r"Means: drift 0\.\d+ m; from 2 s on creep -, - steps per second\.", printed)
 
 
 def test_a_window_is_opened_where_there_is_a_display(
@@ -71,11 +89,9 @@ def test_mistakes_are_said_in_one_sentence(
     assert "checkpoint" in mistake("export", str(tmp_path / "missing.pt"))
     (tmp_path / "file").write_text("")
     assert "is no folder one can write to" in mistake("export", str(untrained), "--out", str(tmp_path / "file"))
-    torch.save(torch.load(untrained, weights_only=True) | {"task": "HumoSlope-Stage1-Unitree-G2"}, tmp_path / "m.pt")
-    assert "did you mean 'HumoSlope-Stage1-Unitree-G1'?" in mistake("export", str(tmp_path / "m.pt"))
 
     assert "holds no policy.json; `humoslope export CHECKPOINT` writes one" in mistake("play", str(tmp_path))
-    assert "a window shows one walk; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
+    assert "a window shows one trial; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
     assert "--grade 70 must be between" in mistake("play", str(exported), "--grade", "70", "--headless")
     monkeypatch.setattr(glfw, "init", lambda: False)
     assert "there is no display to open a window on; add --headless" in mistake("play", str(exported))

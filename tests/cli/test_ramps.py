@@ -93,20 +93,30 @@ def test_the_same_seed_gives_the_same_figures(
 def test_what_is_no_checkpoint_is_said_in_one_sentence(mistake: Callable[..., str], tmp_path: Path) -> None:
     assert "does not exist" in mistake("ramps", str(tmp_path / "missing.pt"))
     (tmp_path / "text.pt").write_text("hello")
-    assert "is broken or truncated" in mistake("ramps", str(tmp_path / "text.pt"))
+    assert "is damaged or truncated" in mistake("ramps", str(tmp_path / "text.pt"))
     torch.save({"weights": torch.zeros(3)}, tmp_path / "foreign.pt")
     assert "is not a HumoSlope checkpoint" in mistake("ramps", str(tmp_path / "foreign.pt"))
     (tmp_path / "run").mkdir()
     assert "holds no checkpoint" in mistake("ramps", str(tmp_path / "run"))
 
 
-def test_a_checkpoint_of_a_task_that_is_not_registered_names_the_nearest(
+def test_a_checkpoint_of_a_task_that_is_not_registered_walks_by_its_own_configuration(
+    untrained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "model_0.pt"
+    checkpoint.save(path, checkpoint.load(untrained) | {"task": "HumoSlope-Stage1-Unitree-G2"})
+    _, printed = walk(path, capsys)
+    assert "Task 'HumoSlope-Stage1-Unitree-G2' is not registered here; the configuration in" in printed
+
+
+def test_a_configuration_that_names_what_no_longer_exists_is_refused(
     mistake: Callable[..., str], untrained: Path, tmp_path: Path
 ) -> None:
-    state = torch.load(untrained, weights_only=True) | {"task": "HumoSlope-Stage1-Unitree-G2"}
-    torch.save(state, tmp_path / "model_0.pt")
+    state = checkpoint.load(untrained)
+    state["config"]["env"]["rewards"]["terms"]["zmp"]["func"] = {"$name": "humoslope.mdp.zmp:Gone"}
+    checkpoint.save(tmp_path / "model_0.pt", state)
     said = mistake("ramps", str(tmp_path / "model_0.pt"))
-    assert "'HumoSlope-Stage1-Unitree-G2' does not exist; did you mean 'HumoSlope-Stage1-Unitree-G1'?" in said
+    assert "model_0.pt': configuration: 'humoslope.mdp.zmp:Gone' does not exist any more" in said
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import pytest
 
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
-from humoslope.deploy.player import Course, Player
+from humoslope.deploy.player import Player, TrialCfg
 from humoslope.deploy.quantities import Measured
 
 
@@ -26,18 +26,18 @@ def contract(exported: Path) -> Contract:
 
 @pytest.fixture(scope="session")
 def make_player(exported: Path, contract: Contract) -> Callable[..., Player]:
-    """make_player(grade=20.0, contract=other): on this course, by this contract."""
+    """make_player(grade=20.0, contract=other): a player of the export on this course, by this contract."""
 
-    def make(contract: Contract = contract, **course: Any) -> Player:
-        return Player(exported, contract, Course(**course))
+    def make(contract: Contract = contract, **cfg: Any) -> Player:
+        return Player(exported, contract, TrialCfg(**cfg))
 
     return make
 
 
 @pytest.fixture
 def spoil(exported: Path, tmp_path: Path) -> Callable[..., Path]:
-    """spoil(change) copies the export, lets `change(contract as a dict)` change it; `network` replaces its bytes, and
-    the contract is told so."""
+    """spoil(change): a copy of the export after `change(contract as a dict)`; `network` replaces the network's bytes,
+    and its hash in the contract."""
 
     def make(change: Callable[[Any], object] = lambda raw: None, network: bytes | None = None) -> Path:
         folder = Path(shutil.copytree(exported, tmp_path / "spoilt"))
@@ -70,7 +70,8 @@ def with_terms(contract: Contract) -> Callable[..., Contract]:
     """with_terms(joint_velocity={"scale": 1.0}): the contract with fields of these quantities' terms changed."""
 
     def make(**changes: dict[str, Any]) -> Contract:
-        terms = tuple(replace(term, **changes.get(term.quantity, {})) for term in contract.observation.terms)
-        return replace(contract, observation=replace(contract.observation, terms=terms))
+        (group,) = contract.observations
+        terms = tuple(replace(term, **changes.get(term.quantity, {})) for term in group.terms)
+        return replace(contract, observations=(replace(group, terms=terms),))
 
     return make

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +13,16 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from humoslope.deploy.contract import Contract, Steering
-from humoslope.deploy.player import Course, Player, outcome, steer, walks
+from humoslope.deploy.player import Player, Summary, TouchdownCounter, Trial, TrialCfg, run_trials, steer, summarise
+from humoslope.deploy.world import RUN_UP
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, summarise, walk
+from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, walk
+from humoslope.evaluation.ramps import summarise as summarise_ramps
 from humoslope.learning.policy import Actor, load_actor
 from humoslope.registry import build_task
 
@@ -60,7 +65,7 @@ def test_observations_and_motion_follow_the_training_environment_for_a_second(
 
     player = make_player()
     seen: list[Any] = []
-    player.controller._observe = keep(player.controller._observe, seen)
+    player.controller.observers["actor"] = Keep(player.controller.observers["actor"], seen)  # type: ignore[assignment]
     for world in range(WORLDS):
         player.start()
         data = player.world.data
@@ -69,12 +74,12 @@ def test_observations_and_motion_follow_the_training_environment_for_a_second(
         player.world._take_state()
         for step in range(50):
             np.testing.assert_allclose(data.qpos, states[step][world], atol=1e-4)
-            player.step(player.straight_on())
+            player.step(player.course_command())
             np.testing.assert_allclose(seen[-1], observations[step][world], atol=1e-4)
 
 
-class keep:
-    """An observer that also writes down what it gives."""
+class Keep:
+    """An observer that also keeps its results."""
 
     def __init__(self, observe: Any, seen: list[Any]) -> None:
         self._observe, self._seen, self.reset = observe, seen, observe.reset
@@ -88,8 +93,8 @@ def test_success_and_speed_on_flat_ground_are_those_of_the_ramp_check(
     flat: Any, make_player: Callable[..., Player]
 ) -> None:
     env, actor, protocol = flat(4.0)
-    (checked,) = summarise(walk(env, actor, protocol), protocol)
-    played = outcome(list(walks(make_player(seconds=4.0, trials=WORLDS))))
+    (checked,) = summarise_ramps(walk(env, actor, protocol), protocol)
+    played = summarise(list(run_trials(make_player(seconds=4.0, trials=WORLDS))))
     assert played.falls.low <= checked.falls.share <= played.falls.high
     assert played.speed == pytest.approx(checked.speed, abs=0.02)
     assert played.falls.count == checked.falls.count == 0
@@ -97,7 +102,7 @@ def test_success_and_speed_on_flat_ground_are_those_of_the_ramp_check(
 
 def test_it_climbs_and_descends(make_player: Callable[..., Player]) -> None:
     for grade in (20.0, -20.0):
-        (done,) = walks(make_player(grade=grade, seconds=5.0))
+        (done,) = run_trials(make_player(grade=grade, seconds=5.0))
         assert not done.fell
         assert done.distance > 1.5
 
@@ -116,18 +121,18 @@ def test_it_does_not_walk_by_a_contract_that_says_something_else(
 ) -> None:
     inverted = with_terms(gravity_direction={"scale": -1.0})
     for wrong in (halved(contract), backwards(contract), inverted):
-        (done,) = walks(make_player(wrong, seconds=4.0))
+        (done,) = run_trials(make_player(wrong, seconds=4.0))
         assert done.fell or done.distance < 1.0
 
 
 def test_a_trial_is_the_same_alone_and_among_others(make_player: Callable[..., Player]) -> None:
-    first, second = walks(make_player(seconds=0.5, trials=2))
-    (alone,) = walks(make_player(seconds=0.5))
+    first, second = run_trials(make_player(seconds=0.5, trials=2))
+    (alone,) = run_trials(make_player(seconds=0.5))
     assert alone.distance == first.distance != second.distance
-    (other,) = walks(make_player(seconds=0.5, seed=1))
+    (other,) = run_trials(make_player(seconds=0.5, seed=1))
     assert other.distance != alone.distance
     assert math.isnan(alone.speed)  # nobody has settled
-    assert outcome([alone]).speed is None
+    assert summarise([alone]).speed is None
 
 
 STEERING = Steering(
@@ -154,7 +159,7 @@ def test_steering_leads_back_to_the_course(left: float, yaw: float, rate: float)
 def test_a_robot_that_is_asked_to_stand_is_not_asked_to_turn(make_player: Callable[..., Player]) -> None:
     player = make_player(speed=0.0)
     player.world.reset(y=0.5, yaw=0.3)
-    np.testing.assert_array_equal(player.straight_on(), np.zeros(3))
+    np.testing.assert_array_equal(player.course_command(), np.zeros(3))
 
 
 @pytest.mark.parametrize(
@@ -170,4 +175,85 @@ def test_a_robot_that_is_asked_to_stand_is_not_asked_to_turn(make_player: Callab
 )
 def test_an_impossible_course_is_refused(course: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said):
-        Course(**course)
+        TrialCfg(**course)
+
+
+# Standing: creep, drift and steps.
+
+
+@given(
+    off=st.lists(st.tuples(st.booleans(), st.booleans()), max_size=60),
+    dt=st.sampled_from([0.005, 0.02, 0.05]),
+)
+def test_a_touchdown_is_a_contact_after_a_swing(off: list[tuple[bool, bool]], dt: float) -> None:
+    counter = TouchdownCounter(2, dt)
+    for sample in off:
+        counter.add(np.array(sample))
+    least = {0.005: 12, 0.02: 3, 0.05: 1}[dt]  # samples in 0.06 s
+    expected = 0
+    for foot in (0, 1):
+        word = "".join("d" if sample[foot] else "u" for sample in off)
+        expected += sum(len(swing) >= least for swing in re.findall(r"u+(?=d)", word))
+    assert counter.count == expected
+
+
+@pytest.mark.parametrize("grade", [0.0, -30.0])
+def test_drift_and_creep_are_measured_on_the_ground_and_steps_after_settling(
+    make_player: Callable[..., Player], monkeypatch: pytest.MonkeyPatch, grade: float
+) -> None:
+    """A robot that is carried: 0.1 m/s ahead and 0.2 m/s to the right, with a step of one foot every 0.5 s."""
+    player = make_player(grade=grade, speed=0.0, seconds=6.0)
+    world, steps = player.world, 0
+
+    def carry(command: Any) -> None:
+        nonlocal steps
+        np.testing.assert_array_equal(command, np.zeros(3))
+        steps += 1
+        time = steps * 0.02
+        world._seen_pos[:3] = start + np.array([0.1 * math.cos(math.radians(grade)), -0.2, 0.0]) * time
+        world._seen_pos[2] = world.ground(world._seen_pos[0]) + 0.75
+
+    start = np.array([RUN_UP, 0.0, 0.75])  # where a ramp begins
+    monkeypatch.setattr(player, "start", lambda rng: world._seen_pos.__setitem__(slice(0, 3), start))
+    monkeypatch.setattr(player, "step", carry)
+    monkeypatch.setattr(world, "feet_down", lambda: np.array([True, steps % 25 >= 10]))
+    (trial,) = run_trials(player)
+    assert not trial.fell
+    assert trial.drift == pytest.approx(6.0 * math.hypot(0.1, 0.2))
+    assert trial.creep == pytest.approx(math.hypot(0.1, 0.2))
+    assert trial.speed == pytest.approx(0.1)
+    assert trial.step_rate == pytest.approx(2.0)
+
+
+def test_a_fall_ends_what_is_measured(make_player: Callable[..., Player], monkeypatch: pytest.MonkeyPatch) -> None:
+    player = make_player(speed=0.0, seconds=6.0)
+    monkeypatch.setattr(player.world, "fallen", lambda: player.world.data.time > 2.999)
+    (trial,) = run_trials(player)
+    assert trial.fell
+    assert trial.seconds == pytest.approx(3.0)
+    assert trial.creep > 0.0
+    monkeypatch.setattr(player.world, "fallen", lambda: player.world.data.time > 1.999)
+    (trial,) = run_trials(player)
+    assert trial.seconds == pytest.approx(2.0)
+    assert math.isnan(trial.creep)
+    assert math.isnan(trial.step_rate)
+    together = summarise([trial])
+    assert (together.creep, together.step_rate, together.falls.count) == (None, None, 1)
+
+
+def test_the_shipped_policy_marks_time_where_it_is_asked_to_stand(make_player: Callable[..., Player]) -> None:
+    """Its contract says that it was trained with commands to stand; that it stands still would not be true."""
+    player = make_player(speed=0.0, seconds=8.0, trials=2)
+    assert player.contract.commands.trained_to_stand
+    result = summarise(list(run_trials(player)))
+    assert result.falls.count == 0
+    assert result.creep == pytest.approx(0.07, abs=0.04)
+    assert result.step_rate == pytest.approx(4.0, abs=0.5)
+    assert result.drift > 0.2
+
+
+def test_a_summary_is_the_mean_over_what_was_measured() -> None:
+    trials = [Trial(False, 4.0, 1.0, 0.5, 2.0, 0.1, 3.0), Trial(True, 1.0, 2.0, math.nan, 4.0, math.nan, math.nan)]
+    result = summarise(trials)
+    assert result == Summary(result.falls, 0.5, 1.5, 3.0, 0.1, 3.0)
+    assert (result.falls.count, result.falls.total) == (1, 2)

@@ -63,7 +63,7 @@ def test_its_observation_is_that_of_the_contract(deploy: dict[str, Any], contrac
         assert term["clip"] is None
         frames = [np.array(term["scale"]) * TERMS[name](m, deploy) for m in instants]
         theirs += frames[-term["history_length"] :]
-    observe = Observer(contract.observation)
+    observe = Observer(contract.observations[0])
     for m in instants:
         ours = observe(m)
     np.testing.assert_allclose(np.concatenate(theirs), ours, rtol=1e-6)
@@ -87,7 +87,17 @@ def test_a_released_stick_is_a_command_to_stand(deploy: dict[str, Any]) -> None:
 
 
 def test_an_observation_that_it_does_not_know_is_refused(contract: Contract) -> None:
-    strange = replace(contract.observation.terms[0], quantity="terrain")
-    changed = replace(contract, observation=replace(contract.observation, terms=(strange,)))
-    with pytest.raises(UserError, match="observation 'base_ang_vel': Unitree's deployment has none for terrain"):
-        deploy_yaml(changed)
+    (group,) = contract.observations
+    strange = replace(group, terms=(replace(group.terms[0], quantity="custom"),))
+    with pytest.raises(UserError, match="observation 'base_ang_vel': Unitree's deployment has none for custom"):
+        deploy_yaml(replace(contract, observations=(strange,)))
+
+
+def test_a_network_that_it_cannot_feed_is_refused(contract: Contract) -> None:
+    (group,), (end,) = contract.observations, contract.network.inputs
+    two = replace(contract, observations=(group, replace(group, name="map")))
+    with pytest.raises(UserError, match="feeds one input, but the policy reads the groups actor, map"):
+        deploy_yaml(two)
+    renamed = replace(contract, network=replace(contract.network, inputs=(replace(end, name="actor"),)))
+    with pytest.raises(UserError, match="feeds an input called 'obs', but the network's is 'actor'"):
+        deploy_yaml(renamed)

@@ -32,9 +32,9 @@ def test_the_ground_lies_where_it_is_said_to(make_player: Callable[..., Player],
 
 def test_feet_have_the_friction_of_the_course(make_player: Callable[..., Player]) -> None:
     player = make_player(grade=30.0)
-    assert player.course.friction == pytest.approx(math.tan(math.radians(30.0)) + 0.3)
+    assert player.cfg.friction == pytest.approx(math.tan(math.radians(30.0)) + 0.3)
     for name in player.contract.robot.foot_geoms:
-        assert player.world.model.geom(name).friction[0] == player.course.friction
+        assert player.world.model.geom(name).friction[0] == player.cfg.friction
 
 
 def test_drives_give_the_contracts_torque(make_player: Callable[..., Player], contract: Contract) -> None:
@@ -136,6 +136,7 @@ def test_starts_are_within_the_joints_ranges(make_player: Callable[..., Player],
 
 
 def test_a_model_that_does_not_fit_the_contract_is_said(spoil: Callable[..., Path], contract: Contract) -> None:
+    contract = replace(contract, robot=replace(contract.robot, sha256=None))  # as in version 1: any model
     folder = spoil()
     model = folder / contract.robot.file
     text = model.read_text()
@@ -163,4 +164,34 @@ def test_a_model_that_does_not_fit_the_contract_is_said(spoil: Callable[..., Pat
     with pytest.raises(UserError, match=r"the robot model does not go with the contract: .*invalid force range"):
         World(folder, weak, 0.0, 0.8, 20.0)
     model.unlink()
-    assert "model.xml' does not exist; it belongs to the export folder" in said()
+    assert "model.xml' does not exist; it is part of the export" in said()
+
+
+def test_a_model_other_than_the_contracts_is_refused(spoil: Callable[..., Path], contract: Contract) -> None:
+    folder = spoil()
+    model = folder / contract.robot.file
+    model.write_text(model.read_text().replace("</mujoco>", "</mujoco> "))
+    with pytest.raises(UserError, match=r"model.xml' is not the robot model that the contract beside it"):
+        World(folder, contract, 0.0, 0.8, 20.0)
+
+
+def test_a_foot_is_down_while_the_ground_carries_it(make_player: Callable[..., Player]) -> None:
+    world = make_player().world
+    assert [world.model.body(body).name for body in world.foot_bodies] == [
+        "left_ankle_roll_link",
+        "right_ankle_roll_link",
+    ]
+    assert list(world.feet_down()) == [False, False]  # it starts a centimetre above the ground
+    default = world._default.copy()
+    for _ in range(25):
+        world.step(default)
+    assert list(world.feet_down()) == [True, True]
+    data, model = world.data, world.model
+    for side, lifted in (("left", [False, True]), ("right", [True, False])):
+        data.qpos[model.joint(f"{side}_knee_joint").qposadr[0]] += 0.8
+        mujoco.mj_forward(model, data)
+        assert list(world.feet_down()) == lifted
+        data.qpos[model.joint(f"{side}_knee_joint").qposadr[0]] -= 0.8
+    data.qpos[2] += 1.0
+    mujoco.mj_forward(model, data)
+    assert list(world.feet_down()) == [False, False]

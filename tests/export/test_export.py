@@ -1,7 +1,8 @@
-"""An exported network acts as the trained one, and what cannot be described is not exported."""
+"""An exported network acts as the trained one, and a policy that cannot be described is not exported."""
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Callable
@@ -10,24 +11,30 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import onnx
 import onnxruntime as ort
 import pytest
 import torch
+from rsl_rl.models import CNNModel, MLPModel
 from tensordict import TensorDict
 from torch import Tensor
 
+from humoslope.cli import main
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
+from humoslope.deploy.player import Player, TrialCfg
 from humoslope.deploy.quantities import QUANTITIES
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.export import policy as exporting
-from humoslope.export.policy import describe, export, record_observations, robot_xml
-from humoslope.learning.policy import Actor, load_actor, read_provenance
-from humoslope.managers import ObservationTermCfg
-from humoslope.mdp import observations
+from humoslope.export.onnx import largest_difference, network_inputs, translate
+from humoslope.export.policy import export, make_contract, record_observations, robot_xml
+from humoslope.learning.policy import Actor, PolicySpec, load_actor
+from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms
+from humoslope.mdp import observations as observations_of
 from humoslope.mdp.declare import measured_as
 from humoslope.registry import all_tasks, build_task
+from humoslope.scene.robot import Robot
 from robots.unitree_g1 import UNITREE_G1
 
 Change = Callable[[EnvCfg], None]
@@ -44,12 +51,12 @@ def actor(env: ManagerBasedRlEnv, stage1_checkpoint: Path) -> Actor:
 
 
 @pytest.fixture(scope="module")
-def described(stage1_checkpoint: Path, make_stage1: Callable[..., ManagerBasedRlEnv]) -> Callable[[Change], Contract]:
+def described(actor: Actor, make_stage1: Callable[..., ManagerBasedRlEnv]) -> Callable[[Change], Contract]:
     """described(change): the contract of Stage I after `change(cfg)`."""
 
     def make(change: Change) -> Contract:
         env = make_stage1(1, change)
-        return describe(read_provenance(stage1_checkpoint), env, env.cfg, "0" * 64)
+        return make_contract(actor, env, env.cfg, env.get_observations(), b"network", "<mujoco/>")
 
     return make
 
@@ -58,10 +65,11 @@ def test_the_file_acts_as_torch_on_the_noisy_observations_of_training(
     exported: Path, env: ManagerBasedRlEnv, actor: Actor
 ) -> None:
     seen = record_observations(env, actor, 1.0)
-    assert seen.shape == (200, 480)
+    assert seen["actor"].shape == (200, 480)
+    assert set(seen.keys()) == {"actor"}
     session = ort.InferenceSession(exported / "exported" / "policy.onnx", providers=["CPUExecutionProvider"])
-    given = np.concatenate([session.run(["actions"], {"obs": row[None]})[0] for row in seen.numpy()])
-    expected = actor(TensorDict({"actor": seen}, batch_size=[200]))
+    given = np.concatenate([session.run(["actions"], {"obs": row[None]})[0] for row in seen["actor"].numpy()])
+    expected = actor(seen)
     torch.testing.assert_close(torch.from_numpy(given), expected, rtol=0.0, atol=1e-5)
     assert expected.abs().max() > 0.5
 
@@ -105,10 +113,10 @@ def test_overrides_of_a_task_reach_the_contract(described: Callable[[Change], Co
 
     contract = described(change)
     assert contract.joints[0].action_scale_rad == 0.5 * UNITREE_G1.action_scale[0]
-    assert contract.network.inputs == 2 * 96
+    assert contract.network.inputs[0].shape == (1, 2 * 96)
     assert contract.commands.forward_m_s == (0.1, 0.2)
     assert contract.commands.yaw_rate_rad_s == (-0.3, 0.5)  # what was drawn and what steering asked for
-    assert not contract.commands.stands
+    assert not contract.commands.trained_to_stand
     assert contract.fall == contracts.Fall(0.4, None)
 
 
@@ -129,9 +137,9 @@ def delayed(env: Any, steps: int) -> Tensor:
 @pytest.mark.parametrize(
     ("term", "said"),
     [
-        (ObservationTermCfg(undescribed), "observation 'extra': undescribed does not say what it measures"),
-        (ObservationTermCfg(observations.base_lin_vel), "base_lin_vel does not say what it measures"),
-        (ObservationTermCfg(mistyped), "observation 'extra': quantity 'smell' does not exist"),
+        (ObservationTermCfg(undescribed), "observation 'actor.extra': undescribed does not say what it measures"),
+        (ObservationTermCfg(observations_of.base_lin_vel), "base_lin_vel does not say what it measures"),
+        (ObservationTermCfg(mistyped), "observation 'actor.extra': quantity 'smell' does not exist"),
         (ObservationTermCfg(delayed, {"steps": 1}), "a contract cannot carry its parameters (steps)"),
     ],
 )
@@ -149,13 +157,14 @@ def test_an_observation_that_no_one_else_could_build_is_not_exported(
 def test_every_registered_task_has_an_actor_that_can_be_described() -> None:
     for name in all_tasks():
         cfg = build_task(name).env
-        for term_name, term in cfg.observations.actor.terms.items():
-            assert exporting._term(term_name, term, cfg.scene.robot, True).quantity in QUANTITIES
+        for term in vars(cfg.observations.actor.terms).values():
+            assert term.func.measured_quantity in QUANTITIES
+            assert not term.params
 
 
 def test_a_robot_whose_gyroscope_is_turned_is_not_exported(env: ManagerBasedRlEnv, monkeypatch: Any) -> None:
-    monkeypatch.setitem(vars(env), "robot", exporting.Robot(**(vars(UNITREE_G1) | {"imu_site": "imu_in_torso"})))
-    with pytest.raises(UserError, match="site 'imu_in_torso' must lie in 'pelvis' and along its axes"):
+    monkeypatch.setitem(vars(env), "robot", Robot(**(vars(UNITREE_G1) | {"imu_site": "imu_in_torso"})))
+    with pytest.raises(UserError, match="site 'imu_in_torso' must belong to 'pelvis' and be parallel to its axes"):
         exporting._check_imu(env)
 
 
@@ -166,8 +175,177 @@ def test_a_network_that_differs_from_torch_is_not_written(
     with torch.no_grad():
         next(other.module.mlp.parameters()).mul_(1.01)
     content = (exported / "exported" / "policy.onnx").read_bytes()
-    monkeypatch.setattr(exporting, "translate", lambda actor: content)
+    monkeypatch.setattr(exporting, "translate", lambda actor, observations: content)
     seen = record_observations(env, other, 0.1)
     with pytest.raises(UserError, match=r"differs from torch by .* on 20 observations, more than 1e-05; nothing was"):
         export(other, env, env.cfg, seen, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_file_is_the_same_wherever_it_is_made(exported: Path) -> None:
+    """The exporter of torch notes stack traces with paths at every node."""
+    content = (exported / "exported" / "policy.onnx").read_bytes()
+    model = onnx.load_from_string(content)
+    assert not any(node.metadata_props for node in model.graph.node)
+    assert b"humoslope" not in content
+    assert b".py" not in content
+
+
+# Several groups of any shape.
+
+ROWS = 7
+
+
+@pytest.fixture(scope="module")
+def observations() -> TensorDict:
+    """Two vectors and a map."""
+    generator = torch.Generator().manual_seed(0)
+    shapes = {"actor": (12,), "extra": (5,), "terrain": (2, 8, 6)}
+    tensors = {name: torch.randn(ROWS, *shape, generator=generator) for name, shape in shapes.items()}
+    return TensorDict(tensors, batch_size=[ROWS])
+
+
+class ToyActor:
+    """What an export needs of an actor, around any module."""
+
+    def __init__(self, module: torch.nn.Module, *groups: str) -> None:
+        self.module, self.spec = module, PolicySpec(groups=groups)
+
+    def __call__(self, obs: TensorDict) -> Tensor:
+        action: Tensor = self.module(obs).detach()
+        return action
+
+
+def make_actor(module: torch.nn.Module, *groups: str) -> Any:
+    return ToyActor(module, *groups)
+
+
+def mlp(observations: TensorDict, *groups: str) -> MLPModel:
+    torch.manual_seed(1)
+    model = MLPModel(observations, {"actor": list(groups)}, "actor", 3, (16, 8), obs_normalization=True)
+    model.update_normalization(observations)
+    return model.eval()
+
+
+def cnn(observations: TensorDict, *groups: str) -> CNNModel:
+    torch.manual_seed(1)
+    layers = {"output_channels": [4], "kernel_size": [3], "activation": "elu"}
+    model = CNNModel(observations, {"actor": list(groups)}, "actor", 3, (16, 8), obs_normalization=True, cnn_cfg=layers)
+    model.update_normalization(observations)
+    return model.eval()
+
+
+class Recurrence(torch.nn.Module):
+    """A module that offers no conversion of its own, and reads a map alone."""
+
+    def forward(self, obs: TensorDict) -> Tensor:
+        return torch.tanh(obs["terrain"].mean(dim=(2, 3)))
+
+
+@pytest.mark.parametrize(
+    ("make", "groups", "expected"),
+    [
+        (mlp, ("actor",), {"obs": [1, 12]}),
+        (mlp, ("extra", "actor"), {"extra": [1, 5], "actor": [1, 12]}),
+        (cnn, ("actor", "terrain"), {"actor": [1, 12], "terrain": [1, 2, 8, 6]}),
+        (cnn, ("terrain", "extra", "actor"), {"terrain": [1, 2, 8, 6], "extra": [1, 5], "actor": [1, 12]}),
+        (lambda *_: Recurrence(), ("terrain",), {"terrain": [1, 2, 8, 6]}),
+    ],
+)
+def test_a_policy_of_any_groups_is_translated(
+    observations: TensorDict, make: Any, groups: tuple[str, ...], expected: dict[str, list[int]]
+) -> None:
+    actor = make_actor(make(observations, *groups), *groups)
+    content = translate(actor, observations)
+    session = ort.InferenceSession(content, providers=["CPUExecutionProvider"])
+    assert {end.name: end.shape for end in session.get_inputs()} == expected
+    assert {end.name: list(end.shape) for end in network_inputs(actor, observations)} == expected
+    feeds = [
+        {end.name: observations[end.group][k : k + 1].numpy() for end in network_inputs(actor, observations)}
+        for k in range(ROWS)
+    ]
+    given = np.concatenate([session.run(["actions"], feed)[0] for feed in feeds])
+    wanted = actor(observations).numpy()
+    np.testing.assert_allclose(given, wanted, atol=1e-6)
+    assert np.ptp(wanted, axis=0).min() > 1e-3
+    assert largest_difference(content, actor, observations) == pytest.approx(np.abs(given - wanted).max())
+
+
+@measured_as("custom")
+def heights(env: Any) -> Tensor:
+    """Heights of the ground around the robot,
+    in metres.
+
+    Not part of the meaning.
+    """
+    return env.signals.joint_pos[:, :20].unflatten(1, (1, 4, 5))
+
+
+def test_an_image_is_exported_as_a_custom_quantity_that_play_refuses(
+    actor: Actor,
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    env = make_stage1(2)
+    terms = Terms(map=ObservationTermCfg(heights, scale=0.5))
+    trained = dataclasses.replace(
+        env.cfg, observations=Terms(actor=env.cfg.observations.actor, terrain=ObservationGroupCfg(terms))
+    )
+    seen = env.get_observations().select("actor").set("terrain", 0.5 * heights(env))
+    module: Any = cnn_for(seen, env.robot.num_joints)
+    both = make_actor(module, "actor", "terrain")
+    both.provenance = actor.provenance
+    (tmp_path / "params").mkdir()
+    (tmp_path / "params" / "deploy.yaml").write_text("of an earlier export")
+    result = export(both, env, trained, seen, tmp_path)
+    assert result.without_deploy_yaml is not None
+    assert "the policy reads the groups actor, terrain" in result.without_deploy_yaml
+    assert not (tmp_path / "params" / "deploy.yaml").exists()
+    contract = contracts.read(tmp_path)
+    assert contract == result.contract
+    (term,) = contract.observations[1].terms
+    assert (term.name, term.quantity, term.shape, term.scale) == ("map", "custom", (1, 4, 5), 0.5)
+    assert term.meaning == "Heights of the ground around the robot, in metres."
+    assert contract.network.inputs[1] == contracts.NetworkInput("terrain", "terrain", (1, 1, 4, 5))
+    assert main(["play", str(tmp_path), "--headless"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "observation 'terrain.map' is a custom quantity (Heights of the ground around the robot" in said
+
+
+def cnn_for(observations: TensorDict, outputs: int) -> CNNModel:
+    layers = {"output_channels": [4], "kernel_size": [3], "activation": "elu"}
+    groups = {"actor": ["actor", "terrain"]}
+    return CNNModel(observations, groups, "actor", outputs, (16,), cnn_cfg=layers).eval()
+
+
+def test_a_policy_of_several_vectors_plays(
+    actor: Actor, make_stage1: Callable[..., ManagerBasedRlEnv], tmp_path: Path
+) -> None:
+    """The player feeds each group by its name: the actions are those of torch on the same observations."""
+
+    def split(cfg: EnvCfg) -> None:
+        body = ObservationGroupCfg(Terms(gyro=ObservationTermCfg(observations_of.base_ang_vel)), history=2)
+        cfg.observations = Terms(actor=cfg.observations.actor, body=body)
+
+    env = make_stage1(2, split)
+    seen = env.get_observations()
+    both = make_actor(mlp_for(seen, env.robot.num_joints), "body", "actor")
+    both.provenance = actor.provenance
+    export(both, env, env.cfg, seen, tmp_path)
+    player = Player(tmp_path, contracts.read(tmp_path), TrialCfg(seconds=0.1))
+    player.start()
+    fed: list[Any] = []
+    policy = player.controller._policy
+    player.controller._policy = lambda inputs: fed.append(inputs) or policy(inputs)  # type: ignore[assignment]
+    player.step(np.array([0.5, 0.0, 0.0]))
+    obs = TensorDict({name: torch.from_numpy(value)[None] for name, value in fed[0].items()}, batch_size=[1])
+    assert {name: tuple(value.shape) for name, value in obs.items()} == {"body": (1, 6), "actor": (1, 480)}
+    np.testing.assert_allclose(player.controller.last_action, both(obs)[0].numpy(), atol=1e-5)
+
+
+def mlp_for(observations: TensorDict, outputs: int) -> MLPModel:
+    torch.manual_seed(0)
+    return MLPModel(observations, {"actor": ["body", "actor"]}, "actor", outputs, (16,)).eval()

@@ -12,7 +12,7 @@ import torch
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.learning.policy import Provenance
 from humoslope.registry import build_task
-from humoslope.replay.record import RecordProtocol, record, record_env_cfg, signed
+from humoslope.replay.record import RecordProtocol, record, record_env_cfg, with_provenance
 from humoslope.replay.rollout import Rollout
 
 PROTOCOL = RecordProtocol(terrain="ramp-up", grade=20.0, seconds=4.0, push=1.5, push_every=0.9)
@@ -20,7 +20,7 @@ PROTOCOL = RecordProtocol(terrain="ramp-up", grade=20.0, seconds=4.0, push=1.5, 
 
 @pytest.fixture(scope="session")
 def walk() -> Callable[..., Rollout]:
-    """walk("HumoSlope-Stage1-Unitree-G1", protocol): what is recorded of a robot that only holds its pose."""
+    """walk("HumoSlope-Stage1-Unitree-G1", protocol): the rollout of a robot that only holds its pose."""
 
     def make(task: str, protocol: RecordProtocol) -> Rollout:
         cfg = record_env_cfg(build_task(task).env, protocol)
@@ -28,7 +28,7 @@ def walk() -> Callable[..., Rollout]:
         env = ManagerBasedRlEnv(cfg)
         rollout = record(env, lambda obs: torch.zeros(1, env.robot.num_joints), protocol)
         provenance = Provenance(Path("model_7.pt"), "ab" * 32, task, 7, 1000, 0.0)
-        return signed(rollout, provenance, label="statue")
+        return with_provenance(rollout, provenance, label="statue")
 
     return make
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from humoslope.replay import events as happenings
+from humoslope.replay import events
 from humoslope.replay.rollout import Rollout
 
 DT, ROWS = 0.02, 200
@@ -21,19 +21,19 @@ def test_ground_of_another_kind_is_an_event_once_it_lasts(altered: Callable[...,
     down = stretches((150, False), (50, True))
     slope = np.where(up, np.radians(18.0), np.where(down, np.radians(-10.0), 0.0)).astype(np.float32)
     columns = altered(uphill=up, downhill=down, slope=slope).columns
-    found = happenings.grounds(columns, DT)
+    found = events.grounds(columns, DT)
     assert [event.text for event in found] == ["level ground", "slope up of +18°", "slope down of -10°"]
     np.testing.assert_allclose([event.time for event in found], [0.02, 0.82, 3.02], atol=1e-5)
 
 
 def test_every_fall_is_an_event_the_last_one_too(altered: Callable[..., Rollout]) -> None:
     columns = altered(episode=stretches((80, 0), (70, 1), (50, 2)).astype(np.int32)).columns
-    np.testing.assert_allclose([e.time for e in happenings.falls(columns, last=False)], [1.6, 3.0], atol=1e-5)
-    np.testing.assert_allclose([e.time for e in happenings.falls(columns, last=True)], [1.6, 3.0, 4.0], atol=1e-5)
+    np.testing.assert_allclose([e.time for e in events.falls(columns, last=False)], [1.6, 3.0], atol=1e-5)
+    np.testing.assert_allclose([e.time for e in events.falls(columns, last=True)], [1.6, 3.0, 4.0], atol=1e-5)
 
 
 def test_a_push_says_how_hard_and_where_to() -> None:
-    (event,) = happenings.pushes([(2.5, 0.0, -0.3)])
+    (event,) = events.pushes([(2.5, 0.0, -0.3)])
     assert (event.time, event.text) == (2.5, "push of 0.30 m/s towards -90°")
 
 
@@ -42,6 +42,6 @@ def test_a_segment_is_come_to_once_between_falls(altered: Callable[..., Rollout]
     place[:, 0] = 5.0 + np.concatenate([np.linspace(0.5, 2.5, 120), np.linspace(1.9, 2.5, 30), np.full(50, 0.5)])
     episode = stretches((150, 0), (50, 1)).astype(np.int32)
     columns = altered(root_pos_w=place, episode=episode).columns
-    found = happenings.segments(columns, 5.0, ["start", "up", "flat"], [1.0, 2.0, 3.0])
+    found = events.segments(columns, 5.0, ["start", "up", "flat"], [1.0, 2.0, 3.0])
     assert [event.text for event in found] == ["start", "up", "flat", "start"]
     assert found[1].time < found[2].time < found[3].time == np.float32(3.02)

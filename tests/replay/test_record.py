@@ -1,17 +1,23 @@
-"""What is recorded is what happened."""
+"""A recording holds what happened."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
+from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
+from humoslope.managers import EventTermCfg, Terms
+from humoslope.managers.terms import StatefulTerm
+from humoslope.mdp.zmp import ZmpRegulariser
 from humoslope.registry import build_task
-from humoslope.replay.record import RecordProtocol, record_env_cfg
+from humoslope.replay.record import RecordProtocol, record, record_env_cfg
 from humoslope.replay.rollout import Rollout
 from terrains.profiles import APPROACH
 
@@ -81,11 +87,6 @@ def test_the_ground_is_that_of_the_ramp_ahead(rollout: Rollout) -> None:
     assert rollout.columns.ground_normal_w[0, 2] > 0.99
 
 
-def test_joints_were_told_their_default_pose_as_the_policy_never_acts(rollout: Rollout) -> None:
-    default = np.array(rollout.header["robot"]["default_joint_pos"])
-    np.testing.assert_allclose(rollout.joint_target, np.broadcast_to(default, rollout.joint_target.shape), atol=1e-6)
-
-
 def test_only_a_task_that_asks_for_a_com_height_has_a_target(rollout: Rollout, walk: Callable[..., Rollout]) -> None:
     assert np.isnan(rollout.columns.com_height_target).all()
     second = walk("HumoSlope-Stage2-Unitree-G1", RecordProtocol(terrain="flat", seconds=0.2))
@@ -94,7 +95,7 @@ def test_only_a_task_that_asks_for_a_com_height_has_a_target(rollout: Rollout, w
 
 def test_neither_noise_nor_harness_nor_randomisation_is_left() -> None:
     cfg = record_env_cfg(build_task("HumoSlope-Stage1-Unitree-G1").env, RecordProtocol())
-    assert [name for name, _ in cfg.events.items()] == ["friction", "root", "joints", "recorder"]
+    assert [name for name, _ in cfg.events.items()] == ["friction", "root", "joints"]
     assert not cfg.observations.actor.enable_corruption
     assert cfg.sim.cone == "elliptic"
     assert cfg.sim.timestep == 0.005
@@ -132,3 +133,114 @@ def test_the_usual_grade_is_20_degrees_or_the_nearest_that_there_is() -> None:
 def test_an_impossible_protocol_is_said_in_one_sentence(wrong: dict[str, object], said: str) -> None:
     with pytest.raises(UserError, match=said):
         RecordProtocol(**wrong).ground()
+
+
+# Recording observes; it takes no part.
+
+KICKS = {10: (0.3, -0.2), 25: (0.0, 0.5), 40: (-0.1, 0.0)}
+"""Changes of velocity, m/s, by control step."""
+
+
+class Kick(StatefulTerm):
+    """Step event that changes the velocity of the root at the steps in `KICKS`."""
+
+    def __init__(self, env: Any) -> None:
+        self.step = 0
+
+    def __call__(self, env: Any, mask: Any) -> None:
+        self.step += 1
+        if self.step in KICKS:
+            env.sim.state("qvel")[0, :2] += torch.tensor(KICKS[self.step])
+
+    def reset(self, mask: Any) -> None:
+        pass
+
+
+def kicked(change: Callable[[EnvCfg], None] = lambda cfg: None) -> tuple[ManagerBasedRlEnv, RecordProtocol]:
+    protocol = RecordProtocol(terrain="flat", seconds=1.0)
+    cfg = record_env_cfg(build_task("HumoSlope-Stage1-Unitree-G1").env, protocol)
+    cfg.sim.backend = "native"
+    cfg.events.kick = EventTermCfg(Kick, mode="step")
+    change(cfg)
+    return ManagerBasedRlEnv(cfg), protocol
+
+
+def still(env: ManagerBasedRlEnv) -> Callable[[Any], torch.Tensor]:
+    return lambda obs: torch.zeros(1, env.robot.num_joints)
+
+
+def test_a_change_of_velocity_by_any_event_is_a_push() -> None:
+    env, protocol = kicked()
+    pushes = [event for event in record(env, still(env), protocol).events if event.kind == "push"]
+    assert [push.time for push in pushes] == pytest.approx([0.2, 0.5, 0.8])
+    assert [push.text for push in pushes] == [
+        "push of 0.36 m/s towards -34°",
+        "push of 0.50 m/s towards 90°",
+        "push of 0.10 m/s towards 180°",
+    ]
+
+
+def test_a_push_of_a_robot_that_falls_in_the_same_step_is_none() -> None:
+    """The reset takes it back."""
+
+    def fall_at_once(cfg: EnvCfg) -> None:
+        cfg.terminations.root_too_low.params["height"] = 2.0
+
+    env, protocol = kicked(fall_at_once)
+    kinds = [event.kind for event in record(env, still(env), protocol).events]
+    assert kinds.count("fall") == 50
+    assert "push" not in kinds
+
+
+def test_recording_changes_nothing_that_is_recorded() -> None:
+    env, protocol = kicked()
+    rollout = record(env, still(env), protocol)
+    alone, _ = kicked()
+    with torch.inference_mode():
+        for _ in range(50):
+            alone.step(still(alone)(None))
+    np.testing.assert_array_equal(rollout.columns.joint_pos[-1], alone.signals.joint_pos[0].numpy())
+    np.testing.assert_array_equal(rollout.columns.root_pos_w[-1], alone.signals.root_pos_w[0].numpy())
+
+
+def test_an_env_without_rewards_is_recorded() -> None:
+    def without(cfg: EnvCfg) -> None:
+        cfg.rewards = Terms()
+
+    env, protocol = kicked(without)
+    rollout = record(env, still(env), protocol)
+    assert rollout.columns.reward.shape == (50, 0)
+    assert rollout.header["reward_terms"] == []
+
+
+def test_every_group_that_the_policy_reads_is_kept_without_noise() -> None:
+    task = build_task("HumoSlope-Stage1-Unitree-G1").env
+    cfg = record_env_cfg(task, RecordProtocol(), groups=("critic", "actor"))
+    assert [name for name, _ in cfg.observations.items()] == ["critic", "actor"]
+    assert not any(group.enable_corruption for _, group in cfg.observations.items())
+    assert task.observations.actor.enable_corruption
+    assert [name for name, _ in record_env_cfg(task, RecordProtocol()).observations.items()] == ["actor"]
+    with pytest.raises(UserError, match="'terrain' does not exist"):
+        record_env_cfg(task, RecordProtocol(), groups=("actor", "terrain"))
+
+
+def test_the_support_plane_is_that_of_the_regulariser_of_the_task() -> None:
+    """Row by row the columns are what a fresh regulariser gives, which forgets at every fall."""
+
+    def fall_often(cfg: EnvCfg) -> None:
+        cfg.terminations.root_too_low.params["height"] = 0.745
+
+    env, protocol = kicked(fall_often)
+    term = ZmpRegulariser(env, **env.cfg.rewards.zmp.params)
+    expected = []
+
+    def observe(env: Any) -> None:
+        term(env)
+        expected.append(torch.cat([term.point[0], term.normal[0]]).clone())
+        term.reset(env.terminations.terminated | env.terminations.time_outs)
+
+    env.observers.append(observe)
+    columns = record(env, still(env), protocol).columns
+    assert columns.episode[-1] > 0
+    found = np.concatenate([columns.zmp_w, columns.zmp_normal_w], axis=1)
+    np.testing.assert_array_equal(found, torch.stack(expected).numpy())

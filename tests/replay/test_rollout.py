@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from humoslope.errors import UserError
+from humoslope.replay.rerun.rrd import provenance_text, rollout_title
+from humoslope.replay.robot import RobotShape
 from humoslope.replay.rollout import WIDTHS, Columns, Rollout, load_rollout
+from humoslope.replay.shapes import ground_shape
 
 MINUTE = 3000
 """Control steps."""
 
 
 def said_of(path: Path) -> str:
-    """The one sentence that loading ends with."""
+    """The one sentence with which loading fails."""
     with pytest.raises(UserError) as caught:
         load_rollout(path)
     said = str(caught.value)
-    assert said.endswith(".")
+    assert said.endswith((".", "?"))
     assert "\n" not in said
     assert str(path) in said
     return said
@@ -111,6 +117,136 @@ def test_what_is_missing_or_misshapen_is_named(rollout: Rollout, tmp_path: Path)
     assert "no time steps" in said_of(rewritten(rollout, path, time=np.zeros(0)))
     assert "'terrain_heights'" in said_of(rewritten(rollout, path, terrain_heights=np.zeros(3)))
     assert "lacks 'robot.urdf'" in said_of(rewritten(rollout, path, header={"robot": {"name": "g1"}}))
+
+
+def header_with(rollout: Rollout, section: str, **fields: Any) -> dict[str, Any]:
+    """Fields of the header, changed in one section."""
+    return {section: rollout.header[section] | fields} if section else fields
+
+
+@pytest.mark.parametrize(
+    ("section", "fields", "said"),
+    [
+        ("", {"dt": 0.0}, "'dt' in its header is 0.0; it must be a positive number"),
+        ("", {"dt": float("nan")}, "'dt' in its header is nan; it must be a positive number"),
+        ("", {"dt": True}, "'dt' in its header is True; it must be a positive number"),
+        ("", {"task": 3}, "'task' in its header is 3; it must be a text"),
+        ("", {"code": None}, "'code' in its header is None; it must be a text"),
+        ("", {"version": "one"}, "its format is 'one'; it must be a whole number"),
+        ("", {"reward_terms": {"a": 1}}, "it must be a list of texts, all different"),
+        ("", {"checkpoint": []}, "its header lacks 'checkpoint.sha256'"),
+        ("checkpoint", {"iteration": "many"}, "'checkpoint.iteration' in its header is 'many'"),
+        ("terrain", {"cell": -1.0}, "'terrain.cell' in its header is -1.0; it must be a positive number"),
+        ("terrain", {"origin": [0.0]}, "'terrain.origin' in its header has 1 numbers; it must have 2"),
+        ("terrain", {"tile_origin": "here"}, "'terrain.tile_origin' in its header is 'here'; it must be a list of num"),
+        ("terrain", {"tile_length": 1e6}, "its tile does not lie within 'terrain_heights'"),
+        ("terrain", {"origin": [1e6, 0.0]}, "its tile does not lie within 'terrain_heights'"),
+        ("robot", {"joint_names": None}, "'robot.joint_names' in its header is None; it must be a list of texts"),
+        ("robot", {"action_scale": [1.0]}, "'robot.action_scale' in its header has 1 numbers; it must have 29"),
+        ("robot", {"effort_limit": [0.0] * 29}, "'robot.effort_limit' in its header is 0.0; it must be a positive"),
+        ("robot", {"root": "pelvic"}, "link 'pelvic' does not exist; did you mean 'pelvis'?"),
+        ("robot", {"urdf": "../../../etc/passwd"}, "its URDF cannot be read; record it anew"),
+        ("robot", {"urdf": "<robot name='r'/>"}, "its URDF lacks the root; link 'pelvis' does not exist"),
+    ],
+)
+def test_a_header_that_makes_no_sense_is_refused(
+    rollout: Rollout, tmp_path: Path, section: str, fields: dict[str, Any], said: str
+) -> None:
+    path = rewritten(rollout, tmp_path / "walk.npz", header=header_with(rollout, section, **fields))
+    assert said in said_of(path)
+
+
+def test_a_joint_that_the_urdf_lacks_or_cannot_turn_is_named(rollout: Rollout, tmp_path: Path) -> None:
+    path, names, urdf = tmp_path / "walk.npz", rollout.joint_names, rollout.header["robot"]["urdf"]
+    other = [name.replace("left_knee", "left_kneee") for name in names]
+    assert "joint 'left_kneee_joint' does not exist; did you mean 'left_knee_joint'?" in said_of(
+        rewritten(rollout, path, header=header_with(rollout, "robot", joint_names=other))
+    )
+    twice = [names[0], *names[:-1]]
+    assert "it must be a list of texts, all different" in said_of(
+        rewritten(rollout, path, header=header_with(rollout, "robot", joint_names=twice))
+    )
+    sliding = re.sub(r'(name="left_knee_joint"[^>]*type=)"revolute"', r'\1"prismatic"', urdf)
+    assert sliding != urdf
+    assert "the type of joint 'left_knee_joint' in its URDF is 'prismatic'; it must be revolute or conti" in said_of(
+        rewritten(rollout, path, header=header_with(rollout, "robot", urdf=sliding))
+    )
+    fewer = header_with(rollout, "robot", joint_names=names[:-1])
+    assert "'robot.default_joint_pos' in its header has 29 numbers; it must have 28" in said_of(
+        rewritten(rollout, path, header=fewer)
+    )
+
+
+@pytest.mark.parametrize("name", [*WIDTHS, "terrain_heights"])
+def test_a_number_that_is_not_finite_or_no_number_is_refused(rollout: Rollout, tmp_path: Path, name: str) -> None:
+    path, walk = tmp_path / "walk.npz", vars(rollout.columns) | {"terrain_heights": rollout.terrain_heights}
+    whole = walk[name]
+    if whole.dtype.kind == "f":
+        for bad in (np.nan, np.inf, -np.inf, 1e300):
+            spoilt = whole.astype(np.float64)
+            spoilt[(7,) + (0,) * (whole.ndim - 1)] = bad
+            path = rewritten(rollout, path, **{name: spoilt})
+            if name == "com_height_target" and np.isnan(bad):
+                assert np.isnan(load_rollout(path).columns.com_height_target).all()
+            else:
+                assert f"'{name}' in row 7 is {'nan' if np.isnan(bad) else ''}" in said_of(path)
+    for wrong in (whole.astype(str), whole.astype(complex)):
+        assert f"'{name}' is of type {wrong.dtype}; it must be" in said_of(rewritten(rollout, path, **{name: wrong}))
+
+
+def test_rows_that_cannot_follow_each_other_are_refused(rollout: Rollout, tmp_path: Path) -> None:
+    path, columns = tmp_path / "walk.npz", rollout.columns
+    assert "'time' does not increase" in said_of(rewritten(rollout, path, time=columns.time[::-1]))
+    assert "'episode' decreases" in said_of(rewritten(rollout, path, episode=columns.episode[::-1]))
+    for name in ("root_quat_w", "ground_normal_w", "zmp_normal_w"):
+        vectors = getattr(columns, name).copy()
+        vectors[5] = 0.0
+        assert f"'{name}' in row 5 is [0. 0. 0." in said_of(rewritten(rollout, path, **{name: vectors}))
+
+
+@pytest.mark.parametrize(
+    "event", [3, {"time": 1.0}, {"time": "soon", "kind": "fall", "text": ""}, {"time": 1.0, "kind": "fall", "text": 2}]
+)
+def test_an_event_that_is_none_is_refused(rollout: Rollout, tmp_path: Path, event: Any) -> None:
+    path = rewritten(rollout, tmp_path / "walk.npz", header={"events": [event]})
+    assert "it must be an object with time, kind and text" in said_of(path)
+    assert "'events' in its header is None; it must be a list" in said_of(
+        rewritten(rollout, tmp_path / "walk.npz", header={"events": None})
+    )
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=4,
+)
+
+
+@given(data=st.data(), value=json_values)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_stands_in_a_header_it_is_drawn_or_refused_in_one_sentence(
+    rollout: Rollout, tmp_path: Path, data: st.DataObject, value: Any
+) -> None:
+    header = json.loads(json.dumps(rollout.header | {"events": []}))
+    place: Any = header
+    while True:  # down to any field or entry
+        key = data.draw(st.sampled_from(sorted(place) if isinstance(place, dict) else range(len(place))))
+        inner = place[key]
+        if not isinstance(inner, dict | list) or not inner or data.draw(st.booleans()):
+            break
+        place = inner
+    place[key] = value
+    path = rewritten(rollout, tmp_path / "walk.npz", header=header)
+    said = ""
+    try:
+        loaded = load_rollout(path)
+        RobotShape(loaded.header["robot"]["urdf"], meshes={}).poses(loaded)
+        ground_shape(loaded)
+        provenance_text(loaded)
+        rollout_title(loaded)
+    except UserError as error:
+        said = str(error)
+    assert "\n" not in said
 
 
 def test_what_a_later_recording_adds_is_ignored(rollout: Rollout, tmp_path: Path) -> None:

@@ -48,10 +48,14 @@ def run(arguments: list[str]) -> None:
     actor = load_actor(provenance.path, env, provenance.task)
     result = export(actor, env, task.env, record_observations(env, actor, WALK.seconds), folder)
     network = result.contract.network
+    inputs = " and ".join("x".join(map(str, end.shape[1:])) for end in network.inputs)
+    files = [FILE, MODEL, ONNX] if result.without_deploy_yaml else [FILE, MODEL, ONNX, DEPLOY]
     console.print(
-        f"ONNX {network.inputs} -> {network.outputs}; at most {result.difference:.1g} from torch over "
+        f"ONNX {inputs} -> {network.output.shape[1]}; at most {result.difference:.1g} from torch over "
         f"{result.compared} observations of a walk\n{provenance.training}\n"
-        f"wrote {folder}: {FILE}, {MODEL}, {ONNX}, {DEPLOY}",
+        f"wrote {folder}: {', '.join(files)}",
         soft_wrap=True,
         highlight=False,
     )
+    if result.without_deploy_yaml:
+        console.print(f"no {DEPLOY}: {result.without_deploy_yaml}", soft_wrap=True, highlight=False)

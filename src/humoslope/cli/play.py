@@ -12,84 +12,93 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
-from humoslope.deploy.player import SETTLE_S, Course, Player, Walk, outcome, walks
+from humoslope.deploy.player import SETTLE_S, Player, Trial, TrialCfg, run_trials, summarise
 from humoslope.errors import UserError
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Lets an exported policy walk in plain MuJoCo, in a window or without one, and says how it went.
+    """Runs an exported policy in plain MuJoCo, in a window or headless, and prints how it walks; at --speed 0, how it
+    stands.
 
     Attributes:
-        folder: What `humoslope export` wrote.
-        course: What is walked.
-        headless: Walk without a window, as fast as the machine can.
+        folder: Folder that `humoslope export` wrote.
+        trials: Course, command and number of the trials.
+        headless: Run without a window, as fast as the machine can.
     """
 
     folder: tyro.conf.Positional[Path]
-    course: Annotated[Course, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Course)
+    trials: Annotated[TrialCfg, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrialCfg)
     headless: bool = False
 
 
 def run(arguments: list[str]) -> None:
     """Plays the export named in `arguments`."""
     options = tyro.cli(Options, args=arguments, prog="humoslope play")
-    course, console = options.course, Console()
-    if not options.headless and course.trials > 1:
-        raise UserError("a window shows one walk; --trials needs --headless.")
+    cfg, console = options.trials, Console()
+    if not options.headless and cfg.trials > 1:
+        raise UserError("a window shows one trial; --trials needs --headless.")
     contract = contracts.read(options.folder)
-    player = Player(options.folder, contract, course)
+    player = Player(options.folder, contract, cfg)
     if options.headless:
-        console.print(_introduction(contract, course), highlight=False, soft_wrap=True)
-        console.print(_report(_walk(console, player)), highlight=False, soft_wrap=True)
+        console.print(_introduction(contract, cfg), highlight=False, soft_wrap=True)
+        console.print(_report(_run(console, player), cfg), highlight=False, soft_wrap=True)
         return
     from humoslope.deploy import window  # needs libraries that a machine without a display may lack
 
     window.check_display()
-    console.print(_introduction(contract, course), window.KEYS, sep="\n", highlight=False, soft_wrap=True)
+    console.print(_introduction(contract, cfg), window.KEYS, sep="\n", highlight=False, soft_wrap=True)
     window.live(player, console.print)
 
 
-def _walk(console: Console, player: Player) -> list[Walk]:
-    done: list[Walk] = []
+def _run(console: Console, player: Player) -> list[Trial]:
+    done: list[Trial] = []
     columns = (
-        TextColumn("walking"),
+        TextColumn("running"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[speed]}, left"),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, transient=True) as progress:
-        bar = progress.add_task("", total=player.course.trials, speed="-")
-        for walk in walks(player):
-            done.append(walk)
+        bar = progress.add_task("", total=player.cfg.trials, speed="-")
+        for trial in run_trials(player):
+            done.append(trial)
             elapsed = progress.tasks[0].elapsed or 1.0
-            progress.update(bar, advance=1, speed=f"{sum(w.seconds for w in done) / elapsed:.0f} x real time")
+            progress.update(bar, advance=1, speed=f"{sum(t.seconds for t in done) / elapsed:.0f} x real time")
     return done
 
 
-def _introduction(contract: Contract, course: Course) -> str:
+def _introduction(contract: Contract, cfg: TrialCfg) -> str:
     timing, training, commands = contract.timing, contract.training, contract.commands
-    ground = f"a ramp of {course.grade:g} degrees" if course.grade else "flat ground"
+    ground = f"a ramp of {cfg.grade:g} degrees" if cfg.grade else "flat ground"
+    asked = f"{cfg.speed:g} m/s asked" if cfg.speed else "asked to stand"
     text = (
         f"[bold]{training.task}[/bold], iteration {training.iteration}, on {contract.robot.name}\n"
-        f"{ground}, friction {course.friction:.3g}, {course.speed:g} m/s asked; MuJoCo at "
+        f"{ground}, friction {cfg.friction:.3g}, {asked}; MuJoCo at "
         f"{timing.physics_step_s * 1e3:g} ms x {contract.decimation}"
     )
     low, high = commands.forward_m_s
-    trained = low <= course.speed <= high or (commands.stands and course.speed == 0.0)
-    return text if trained else f"{text}\n[yellow]It was trained at {low:g} to {high:g} m/s.[/yellow]"
+    if low <= cfg.speed <= high or (commands.trained_to_stand and cfg.speed == 0.0):
+        return text
+    stand = ", and not to stand" if cfg.speed == 0.0 else ""
+    return f"{text}\n[yellow]It was trained at {low:g} to {high:g} m/s{stand}.[/yellow]"
 
 
-def _report(done: list[Walk]) -> str:
-    result = outcome(done)
-    speed = "-" if result.speed is None else f"{result.speed:.3f} m/s"
+def _report(done: list[Trial], cfg: TrialCfg) -> str:
+    result = summarise(done)
+    if cfg.speed:
+        speed = "-" if result.speed is None else f"{result.speed:.3f} m/s"
+        measured = f"distance {result.distance:.2f} m, speed from {SETTLE_S:g} s on {speed}."
+    else:
+        creep = "-" if result.creep is None else f"{result.creep:.3f} m/s"
+        rate = "-" if result.step_rate is None else f"{result.step_rate:.2f}"
+        measured = f"drift {result.drift:.2f} m; from {SETTLE_S:g} s on creep {creep}, {rate} steps per second."
     if len(done) == 1:
         ended = f"It fell after {done[0].seconds:.1f} s." if done[0].fell else f"No fall in {done[0].seconds:g} s."
-        return f"{ended} Way {result.distance:.2f} m, mean speed from {SETTLE_S:g} s on {speed}."
+        return f"{ended} {measured[0].upper()}{measured[1:]}"
     falls = result.falls
     return (
         f"Falls {falls.count}/{falls.total}: {100.0 * falls.share:.1f} %, 95 % interval "
-        f"{100.0 * falls.low:.1f}-{100.0 * falls.high:.1f} %. "
-        f"Mean way {result.distance:.2f} m, mean speed from {SETTLE_S:g} s on {speed}."
+        f"{100.0 * falls.low:.1f}-{100.0 * falls.high:.1f} %. Means: {measured}"
     )

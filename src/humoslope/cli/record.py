@@ -14,7 +14,7 @@ from humoslope.cli.measure import trained, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.files import check_place
 from humoslope.learning.policy import load_actor
-from humoslope.replay.record import RecordProtocol, record, record_env_cfg, signed
+from humoslope.replay.record import RecordProtocol, record, record_env_cfg, with_provenance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +56,7 @@ def run(arguments: list[str]) -> None:
     with Progress(*columns, console=console) as progress:
         bar = progress.add_task("", total=round(protocol.seconds / env.step_dt))
         rollout = record(env, actor, protocol, lambda: progress.advance(bar))
-    signed(rollout, provenance, options.label or path.stem).save(out)
+    with_provenance(rollout, provenance, options.label or path.stem).save(out)
     for event in rollout.events:
         console.print(f"{event.time:7.2f} s  {event.text}", highlight=False)
     warn(console, env.sim.warnings())

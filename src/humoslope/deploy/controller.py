@@ -1,22 +1,25 @@
-"""The policy as it runs on a robot: from what is measured to joint targets, by the contract."""
+"""An exported policy as it runs on a robot: from measurements to joint targets, as the contract defines them."""
 
 from __future__ import annotations
 
 import hashlib
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from humoslope.deploy.contract import Contract, Network, Observation
-from humoslope.deploy.quantities import QUANTITIES, Array, Measured
+from humoslope.deploy.contract import Contract, Network, ObservationGroup
+from humoslope.deploy.quantities import CUSTOM, QUANTITIES, Array, Measured
 from humoslope.errors import UserError
 
+Input = NDArray[np.float32]
 
-class Policy:
-    """The network of an export folder, in onnxruntime.
+
+class OnnxPolicy:
+    """The network of an export folder, run by onnxruntime.
 
     Raises:
         UserError: If the file is missing, broken, or not the one that the contract was written for.
@@ -24,36 +27,55 @@ class Policy:
 
     def __init__(self, folder: Path, network: Network) -> None:
         path = folder / network.file
-        if not path.is_file():
-            raise UserError(f"'{path}' does not exist; it belongs to the export folder '{folder}'.")
-        content = path.read_bytes()
-        if hashlib.sha256(content).hexdigest() != network.sha256:
-            raise UserError(f"'{path}' is not the network that the contract beside it was written for; export again.")
-        self._session, self._input = load_network(content, str(path)), network.input
-        for what, ends, name, size in (
-            ("input", self._session.get_inputs(), network.input, network.inputs),
-            ("output", self._session.get_outputs(), network.output, network.outputs),
+        content = read_hashed(path, network.sha256, "network")
+        self._session = load_network(content, str(path))
+        self._inputs, self._output = network.inputs, network.output.name
+        expected_inputs = [(end.name, list(end.shape)) for end in network.inputs]
+        expected_output = [(network.output.name, list(network.output.shape))]
+        for what, ends, expected in (
+            ("inputs", self._session.get_inputs(), expected_inputs),
+            ("outputs", self._session.get_outputs(), expected_output),
         ):
-            found = ", ".join(f"{end.name} {end.shape}" for end in ends)
-            if [(end.name, end.shape) for end in ends] != [(name, [1, size])]:
-                raise UserError(f"'{path}' has the {what}s {found}; by the contract it has {name} [1, {size}] alone.")
+            found = [(end.name, end.shape) for end in ends]
+            if found != expected:
+                raise UserError(f"'{path}' has the {what} {_listed(found)}; the contract has {_listed(expected)}.")
 
-    def __call__(self, observation: NDArray[np.float32]) -> Array:
-        """Action [J] for an observation [inputs]."""
-        (output,) = self._session.run(None, {self._input: observation[None]})
+    def __call__(self, observations: Mapping[str, Input]) -> Array:
+        """Returns the action [J] for the observation of each group, without its batch dimension."""
+        feed = {end.name: observations[end.group][None] for end in self._inputs}
+        (output,) = self._session.run([self._output], feed)
         return np.asarray(output[0], dtype=np.float64)
 
 
-def load_network(content: bytes, name: str) -> ort.InferenceSession:
-    """An ONNX network from its bytes alone, so that one whose weights lie in another file does not load.
+def read_hashed(path: Path, sha256: str | None, what: str) -> bytes:
+    """Reads a file of an export.
+
+    Args:
+        path: The file.
+        sha256: SHA-256 that it must have, hexadecimal; None for any.
+        what: Noun for the file, for messages.
 
     Raises:
-        UserError: If it is none.
+        UserError: If it is missing or has another hash.
+    """
+    if not path.is_file():
+        raise UserError(f"'{path}' does not exist; it is part of the export.")
+    content = path.read_bytes()
+    if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
+        raise UserError(f"'{path}' is not the {what} that the contract beside it was written for; export again.")
+    return content
+
+
+def load_network(content: bytes, name: str) -> ort.InferenceSession:
+    """Loads an ONNX network from its bytes alone, so that one whose weights lie in another file does not load.
+
+    Raises:
+        UserError: If onnxruntime cannot load it.
     """
     options = ort.SessionOptions()
-    # One row through a small network: more threads would only wait for each other.
+    # The batch has one row and the network is small: more threads would only wait for each other.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what goes wrong is raised as well
+    options.log_severity_level = 4  # errors are raised as well
     try:
         return ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime has a class of its own for every kind of bad file, and no common one
@@ -61,20 +83,34 @@ def load_network(content: bytes, name: str) -> ort.InferenceSession:
         raise UserError(f"'{name}' is no network that onnxruntime can run: {detail}.") from None
 
 
-class Observer:
-    """Puts the network's input together: scales each term and keeps its history."""
+def _listed(ends: list[tuple[str, list[int]]]) -> str:
+    return ", ".join(f"{name} {shape}" for name, shape in ends) or "none"
 
-    def __init__(self, observation: Observation) -> None:
-        self._terms = observation.terms
-        self._history = observation.history
+
+class Observer:
+    """Composes one observation group: scales each term and keeps its history.
+
+    Raises:
+        UserError: If the group has a custom quantity, which is not known here.
+    """
+
+    def __init__(self, group: ObservationGroup) -> None:
+        for term in group.terms:
+            if term.quantity == CUSTOM:
+                raise UserError(
+                    f"observation '{group.name}.{term.name}' is a custom quantity ({term.meaning or 'not described'}), "
+                    "which `humoslope play` cannot compute; run this export from a program that can."
+                )
+        self._terms = group.terms
+        self._history = group.history
         self.reset()
 
     def reset(self) -> None:
-        """Forgets what was seen; the next frame fills the history."""
+        """Clears the history; the next frame fills it."""
         self._frames: list[deque[Array]] = [deque(maxlen=self._history) for _ in self._terms]
 
-    def __call__(self, measured: Measured) -> NDArray[np.float32]:
-        """The network's input with this frame as the newest, [inputs]."""
+    def __call__(self, measured: Measured) -> Input:
+        """Returns the observation [d] with this frame as the newest."""
         parts: list[Array] = []
         for term, frames in zip(self._terms, self._frames, strict=True):
             frame = term.scale * QUANTITIES[term.quantity].read(measured)
@@ -84,24 +120,26 @@ class Observer:
 
 
 class Controller:
-    """Observations, network and targets; remembers history and last action.
+    """Observations, network and joint targets, with the history and the last action.
 
     Attributes:
-        last_action: [J].
+        last_action: [J] last output of the network.
     """
 
-    def __init__(self, contract: Contract, policy: Policy) -> None:
-        self._observe, self._policy = Observer(contract.observation), policy
+    def __init__(self, contract: Contract, policy: OnnxPolicy) -> None:
+        self.observers = {group.name: Observer(group) for group in contract.observations}
+        self._policy = policy
         self._default = np.array([joint.default_rad for joint in contract.joints])
         self._scale = np.array([joint.action_scale_rad for joint in contract.joints])
         self.reset()
 
     def reset(self) -> None:
-        """Starts as if nothing had been seen or done."""
-        self._observe.reset()
+        """Clears the history and the last action."""
+        for observe in self.observers.values():
+            observe.reset()
         self.last_action = np.zeros(len(self._default))
 
     def __call__(self, measured: Measured) -> Array:
-        """Joint targets [J], rad."""
-        self.last_action = self._policy(self._observe(measured))
+        """Returns joint targets [J], rad."""
+        self.last_action = self._policy({group: observe(measured) for group, observe in self.observers.items()})
         return self._default + self._scale * self.last_action

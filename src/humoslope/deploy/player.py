@@ -1,41 +1,47 @@
-"""Trials of a policy on one course, as in the ramp check: from random starts, straight on, at one speed."""
+"""Trials of an exported policy on one course, as in the ramp check: random starts, straight ahead, at one speed.
+
+At speed 0 the robot is asked to stand, and the trial measures how far it creeps and how often it steps.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from humoslope.deploy.contract import Contract, Steering
-from humoslope.deploy.controller import Controller, Policy
+from humoslope.deploy.controller import Controller, OnnxPolicy
 from humoslope.deploy.quantities import Array
 from humoslope.deploy.world import World
 from humoslope.errors import UserError
 from humoslope.statistics import Proportion, mean, proportion
 
 SETTLE_S = 2.0
-"""Time before the speed counts, s; the robot starts from rest."""
+"""Time before speed, creep and steps count, s; the robot starts from rest, a centimetre above the ground."""
 FRICTION, FRICTION_MARGIN = 0.8, 0.3
-"""Between feet and ground at least, and over the tangent of the grade; as in the ramp check."""
+"""Smallest friction between feet and ground, and its margin over the tangent of the grade; as in the ramp check."""
 ALONG, ACROSS, YAW, JOINTS = 0.15, 0.5, 0.3, 0.05
-"""How far a start is off its place, m and rad; as in the ramp check."""
+"""Half-widths of the random starts, m and rad; as in the ramp check."""
 STEEPEST = 60.0
 FASTEST = 10.0
+SWING_S = 0.06
+"""A foot that was off the ground for a shorter time, s, has not stepped: contacts of a standing foot flicker."""
 
 
 @dataclass(frozen=True)
-class Course:
-    """What is walked.
+class TrialCfg:
+    """Course, command and number of the trials.
 
     Attributes:
-        grade: Of the ramp, degrees; negative goes down, 0 is flat ground.
+        grade: Grade of the ramp, degrees; negative goes down, 0 is flat ground.
         speed: Commanded forward speed, m/s; 0 asks the robot to stand.
-        seconds: Length of a trial, s. An open window stays until it is closed.
-        trials: How often, each from another random start. More than one need --headless.
-        seed: Of the starts.
+        seconds: Length of a trial, s. A window stays open until it is closed.
+        trials: Number of trials, each from another random start. More than one need --headless.
+        seed: Seed of the random starts.
     """
 
     grade: float = 0.0
@@ -56,39 +62,79 @@ class Course:
 
     @property
     def friction(self) -> float:
-        """Coefficient between feet and ground."""
+        """Coefficient of friction between feet and ground."""
         return max(FRICTION, math.tan(math.radians(abs(self.grade))) + FRICTION_MARGIN)
 
     @property
     def length(self) -> float:
-        """Of the ramp, m: twice the way there is time for, and room to stray."""
+        """Length of the ramp, m: twice the commanded distance, and a reserve."""
         return 20.0 + 2.0 * abs(self.speed) * self.seconds
 
 
 @dataclass(frozen=True)
-class Walk:
-    """How a trial went.
+class Trial:
+    """Result of one trial. Positions count up to the last step before a fall.
 
     Attributes:
-        fell: Whether it ended in a fall.
-        seconds: Until its end, s.
-        distance: Along the course on its surface, m.
-        speed: Mean along the course from 2 s on, m/s; NaN if it did not last so long.
+        fell: True if the trial ended in a fall.
+        seconds: Duration, s.
+        distance: Distance covered along the course, on its surface, m.
+        speed: Mean speed along the course after `SETTLE_S`, m/s; NaN if the trial did not last that long.
+        drift: Distance on the ground, in any direction, between the start and the end, m.
+        creep: The same between `SETTLE_S` and the end, per second, m/s; NaN if the trial did not last that long.
+        step_rate: Touchdowns of all feet per second after `SETTLE_S`, 1/s; NaN if the trial did not last that long.
     """
 
     fell: bool
     seconds: float
     distance: float
     speed: float
+    drift: float
+    creep: float
+    step_rate: float
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Several trials together: falls with Wilson's interval, means of the rest; no speed if none lasted to 2 s."""
+class Summary:
+    """Several trials together; None for a mean over no trial.
+
+    Attributes:
+        falls: Share of trials that ended in a fall, with Wilson's interval.
+        speed: Mean of the trials' speeds, m/s.
+        distance: Mean distance along the course, m.
+        drift: Mean drift, m.
+        creep: Mean creep, m/s.
+        step_rate: Mean rate of touchdowns, 1/s.
+    """
 
     falls: Proportion
     speed: float | None
     distance: float
+    drift: float
+    creep: float | None
+    step_rate: float | None
+
+
+class TouchdownCounter:
+    """Counts touchdowns of F feet: contacts that begin after at least `SWING_S` without one.
+
+    Args:
+        feet: Number of feet F.
+        dt: Time between samples, s.
+
+    Attributes:
+        count: Touchdowns so far.
+    """
+
+    def __init__(self, feet: int, dt: float) -> None:
+        self._steps_off = np.zeros(feet, dtype=np.int64)  # samples since each foot was last down
+        self._least = max(1, round(SWING_S / dt))
+        self.count = 0
+
+    def add(self, down: NDArray[np.bool_]) -> None:
+        """Adds a sample: which feet are down, [F]."""
+        self.count += int((down & (self._steps_off >= self._least)).sum())
+        self._steps_off = np.where(down, 0, self._steps_off + 1)
 
 
 class Player:
@@ -98,13 +144,13 @@ class Player:
         UserError: If a file of the export is missing or broken, or they do not belong together.
     """
 
-    def __init__(self, folder: Path, contract: Contract, course: Course) -> None:
-        self.contract, self.course = contract, course
-        self.controller = Controller(contract, Policy(folder, contract.network))
-        self.world = World(folder, contract, course.grade, course.friction, course.length)
+    def __init__(self, folder: Path, contract: Contract, cfg: TrialCfg) -> None:
+        self.contract, self.cfg = contract, cfg
+        self.controller = Controller(contract, OnnxPolicy(folder, contract.network))
+        self.world = World(folder, contract, cfg.grade, cfg.friction, cfg.length)
 
     def start(self, rng: np.random.Generator | None = None) -> None:
-        """Puts the robot at the start; off its place and pose at random if there is an `rng`."""
+        """Places the robot at the start, with a random offset of place and pose if `rng` is given."""
         self.controller.reset()
         if rng is None:
             self.world.reset()
@@ -113,55 +159,78 @@ class Player:
         self.world.reset(x, y, yaw, rng.uniform(-JOINTS, JOINTS, len(self.contract.joints)))
 
     def step(self, command: Array) -> None:
-        """One control step under a command [3] (forward, left, yaw rate)."""
+        """Advances by one control step under a command [3] (forward, left, yaw rate)."""
         measured = self.world.measured(command, self.controller.last_action)
         self.world.step(self.controller(measured))
 
-    def straight_on(self) -> Array:
-        """The command [3] that keeps the robot on the course at its speed."""
+    def course_command(self) -> Array:
+        """Returns the command [3] that keeps the robot on the course at its speed; zeros if it is asked to stand."""
         yaw_rate = steer(self.contract.commands.steering, self.world.root_pos[1], self.world.yaw)
-        return np.array([self.course.speed, 0.0, yaw_rate]) if self.course.speed else np.zeros(3)
+        return np.array([self.cfg.speed, 0.0, yaw_rate]) if self.cfg.speed else np.zeros(3)
 
-    def walk(self, rng: np.random.Generator) -> Walk:
-        """One trial."""
+    def run_trial(self, rng: np.random.Generator) -> Trial:
+        """Runs one trial from a random start."""
         self.start(rng)
         dt, world = self.contract.timing.control_step_s, self.world
-        begin = world.along(world.root_pos[0])
-        settled = end = begin
-        steps, settle = round(self.course.seconds / dt), round(SETTLE_S / dt)
+        steps, settle = round(self.cfg.seconds / dt), round(SETTLE_S / dt)
+        begin = settled = end = self._place()
+        touchdowns, lasted = TouchdownCounter(len(world.foot_bodies), dt), steps
         for done in range(1, steps + 1):
-            self.step(self.straight_on())
+            self.step(self.course_command())
             if world.fallen():
-                walked = (done - 1 - settle) * dt
-                return Walk(True, done * dt, end - begin, (end - settled) / walked if walked > 0.0 else math.nan)
-            end = world.along(world.root_pos[0])
+                lasted = done - 1
+                break
+            end = self._place()
+            touchdowns.add(world.feet_down())
             if done <= settle:
-                settled = end
-        speed = (end - settled) / ((steps - settle) * dt) if steps > settle else math.nan
-        return Walk(False, steps * dt, end - begin, speed)
+                settled, touchdowns.count = end, 0
+        fell = lasted < steps
+        measured_s = (lasted - settle) * dt if lasted > settle else math.nan
+        return Trial(
+            fell=fell,
+            seconds=(lasted + fell) * dt,
+            distance=float(end[0] - begin[0]),
+            speed=float(end[0] - settled[0]) / measured_s,
+            drift=float(np.linalg.norm(end - begin)),
+            creep=float(np.linalg.norm(end - settled)) / measured_s,
+            step_rate=touchdowns.count / measured_s,
+        )
+
+    def _place(self) -> Array:
+        """Place of the root on the ground, [2] m: along the course and across it."""
+        x, y, _ = self.world.root_pos
+        return np.array([self.world.along(x), y])
 
 
 def steer(steering: Steering, left: float, yaw: float) -> float:
-    """Yaw rate, rad/s, that leads back to the course, by the contract's law.
+    """Returns the yaw rate, rad/s, that leads back to the course by the contract's law.
 
     Args:
-        left: Place to the left of the course, m.
+        steering: Gains and limit of the law.
+        left: Offset to the left of the course, m.
         yaw: Heading relative to the course, rad.
     """
     error = math.remainder(-steering.lateral_gain_rad_m * left - yaw, 2.0 * math.pi)
     return max(-steering.limit_rad_s, min(steering.limit_rad_s, steering.heading_gain_per_s * error))
 
 
-def walks(player: Player) -> Iterator[Walk]:
-    """The course's trials one after the other. Each has random numbers of its own, whatever their number."""
-    for trial in range(player.course.trials):
-        yield player.walk(np.random.default_rng((player.course.seed, trial)))
+def run_trials(player: Player) -> Iterator[Trial]:
+    """Runs the trials one after the other. The random start of a trial does not depend on how many there are."""
+    for trial in range(player.cfg.trials):
+        yield player.run_trial(np.random.default_rng((player.cfg.seed, trial)))
 
 
-def outcome(done: list[Walk]) -> Outcome:
-    """Trials together."""
-    return Outcome(
-        falls=proportion(sum(walk.fell for walk in done), len(done)),
-        speed=mean(np.array([walk.speed for walk in done])),
-        distance=float(np.mean([walk.distance for walk in done])),
+def summarise(trials: Sequence[Trial]) -> Summary:
+    """Returns the share of falls and the means of the trials."""
+
+    def over(name: str) -> float | None:
+        return mean(np.array([getattr(trial, name) for trial in trials]))
+
+    return Summary(
+        falls=proportion(sum(trial.fell for trial in trials), len(trials)),
+        speed=over("speed"),
+        distance=float(np.mean([trial.distance for trial in trials])),
+        drift=float(np.mean([trial.drift for trial in trials])),
+        creep=over("creep"),
+        step_rate=over("step_rate"),
     )

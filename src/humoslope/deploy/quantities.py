@@ -1,4 +1,4 @@
-"""What an observation can be made of: quantities that a robot measures or is told, described so that anyone can."""
+"""Quantities that an observation can consist of: what a robot measures or is commanded, in words and as functions."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Measured:
-    """What is known at one instant. Joints are in the order of the contract.
+    """Measurements, command and last action of one instant. Joints are in the order of the contract.
 
     Attributes:
-        root_quat_w: [4] attitude of the root, w first.
-        root_ang_vel_b: [3] rad/s.
-        joint_pos_rel: [J] from the default pose, rad.
-        joint_vel: [J] rad/s.
-        command: [3] forward and left, m/s; yaw rate, rad/s.
-        last_action: [J] what the network gave last; zero before the first time.
+        root_quat_w: [4] orientation of the root, w first.
+        root_ang_vel_b: [3] angular velocity of the root in its own frame, rad/s.
+        joint_pos_rel: [J] joint positions relative to the default pose, rad.
+        joint_vel: [J] joint velocities, rad/s.
+        command: [3] forward and lateral speed, m/s, and yaw rate, rad/s.
+        last_action: [J] last output of the network; zero before the first one.
     """
 
     root_quat_w: Array
@@ -33,7 +33,7 @@ class Measured:
 
     @property
     def up_b(self) -> Array:
-        """[3] the world's up direction in the root frame: the last row of the rotation matrix of `root_quat_w`."""
+        """The world's up direction in the root frame, [3]: the last row of the rotation matrix of `root_quat_w`."""
         w, x, y, z = self.root_quat_w
         return np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
 
@@ -43,11 +43,11 @@ class Quantity:
     """A quantity in words and as a function.
 
     Attributes:
-        meaning: A sentence for who builds the observation elsewhere.
-        frame: The frame of its components; empty if it has none.
-        unit: Of each component.
-        components: Their names in order; empty if there is one for each joint.
-        read: Its components.
+        meaning: Description for readers who compute the observation with their own code.
+        frame: Reference frame of the components; empty if there is none.
+        unit: Unit of each component.
+        components: Names of the components in order; empty if there is one for each joint.
+        read: Function that returns the components.
     """
 
     meaning: str
@@ -57,6 +57,8 @@ class Quantity:
     read: Callable[[Measured], Array]
 
 
+CUSTOM = "custom"
+"""Quantity of an observation that is none of `QUANTITIES`; only the code that it was trained with can compute it."""
 XYZ = ("x", "y", "z")
 ROOT = "root body: x forward, y left, z up"
 

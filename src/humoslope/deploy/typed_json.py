@@ -1,4 +1,4 @@
-"""JSON into frozen dataclasses, with a sentence on what does not fit."""
+"""Conversion of JSON into frozen dataclasses, with a clear message for every mismatch."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ T = TypeVar("T")
 
 
 def typed(kind: type[T], value: Any, where: str = "") -> T:
-    """`value`, as `json` reads it, as an instance of the dataclass `kind`.
+    """Converts `value`, as `json` reads it, to an instance of the dataclass `kind`.
 
     Args:
+        kind: The dataclass.
+        value: The JSON value.
         where: Path of the value in its file, for messages.
 
     Raises:
@@ -62,12 +64,20 @@ def _convert(kind: Any, value: Any, where: str) -> Any:
 
 def _scalar(kind: type, value: Any, where: str) -> Any:
     accepted: Any = (int, float) if kind is float else kind
-    # JSON knows true from 1, but Python takes a bool for a number.
+    # JSON distinguishes true from 1; in Python a bool is an int.
     fits = isinstance(value, accepted) and isinstance(value, bool) == (kind is bool)
-    if fits and (kind is not float or math.isfinite(value)):
+    if fits and (kind is not float or _is_float(value)):
         return kind(value)
     wanted = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}[kind]
     raise UserError(f"{where} is {_shown(value)}; it must be {wanted}.")
+
+
+def _is_float(value: float) -> bool:
+    """True for a number that a float can hold; JSON has integers of any length."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def _tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:

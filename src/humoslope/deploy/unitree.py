@@ -1,4 +1,4 @@
-"""A contract as the `deploy.yaml` that Unitree RL Lab's C++ deployment reads.
+"""The `deploy.yaml` that Unitree RL Lab's C++ deployment reads, from a contract.
 
 Names and rules are those of its `deploy/include/isaaclab`: gains in the order of Unitree's SDK, everything else in the
 policy's; observations in the order of the file, each clipped, scaled and kept for `history_length` steps, oldest first.
@@ -19,32 +19,39 @@ OBSERVATIONS = {
     "joint_velocity": "joint_vel_rel",
     "last_action": "last_action",
 }
-"""What its observations are called."""
+"""Names of the observations in Unitree's deployment, by quantity."""
 
-COMMAND = "base_velocity"
+COMMAND, INPUT = "base_velocity", "obs"
+"""Names of the velocity command and of the network's input in Unitree's deployment."""
 
 
 def deploy_yaml(contract: Contract) -> str:
-    """The file's text, every number at full precision.
+    """Returns the text of the file, every number at full precision.
 
     A robot's joints are in the order of its controller, so that the map from policy to SDK is the identity. The ranges
-    of the commands are widened to hold zero: the deployment clamps the joystick to them, and a released stick must not
-    walk.
+    of the commands are widened to contain zero: the deployment clamps the joystick to them, and a released stick must
+    be a command to stand.
 
     Raises:
-        UserError: If its deployment has no such observation.
+        UserError: If Unitree's deployment cannot feed the network.
     """
     joints, commands = contract.joints, contract.commands
+    if len(contract.observations) != 1:
+        groups = ", ".join(group.name for group in contract.observations)
+        raise UserError(f"Unitree's deployment feeds one input, but the policy reads the groups {groups}.")
+    (group,) = contract.observations
+    if (name := contract.network.inputs[0].name) != INPUT:
+        raise UserError(f"Unitree's deployment feeds an input called '{INPUT}', but the network's is '{name}'.")
     default = [joint.default_rad for joint in joints]
     observations = {}
-    for term in contract.observation.terms:
+    for term in group.terms:
         if term.quantity not in OBSERVATIONS:
             raise UserError(f"observation '{term.name}': Unitree's deployment has none for {term.quantity}.")
         observations[OBSERVATIONS[term.quantity]] = {
             "params": {"command_name": COMMAND} if term.quantity == "velocity_command" else {},
             "clip": None,
             "scale": [term.scale] * len(term.components),
-            "history_length": contract.observation.history,
+            "history_length": group.history,
         }
     content = {
         "joint_ids_map": list(range(len(joints))),
@@ -78,10 +85,10 @@ def deploy_yaml(contract: Contract) -> str:
 
 
 class _Plain(yaml.SafeDumper):
-    """Repeats a list that occurs twice, instead of an anchor and a reference to it."""
+    """Writes a list that occurs twice out again, instead of an anchor and a reference to it."""
 
     def ignore_aliases(self, data: object) -> bool:
-        """See `yaml.SafeDumper`."""
+        """Overrides `yaml.SafeDumper`."""
         return True
 
 

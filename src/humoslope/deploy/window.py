@@ -28,8 +28,11 @@ class Keyboard:
     """
 
     def __init__(self, commands: Commands, speed: float) -> None:
-        self._speeds, self._turns = _rungs(commands.forward_m_s, commands.stands), _rungs(commands.yaw_rate_rad_s, True)
-        self._stands = commands.stands
+        self._speeds, self._turns = (
+            _rungs(commands.forward_m_s, commands.trained_to_stand),
+            _rungs(commands.yaw_rate_rad_s, True),
+        )
+        self._stands = commands.trained_to_stand
         self._speed, self._turn = speed, 0.0
         self.restart = False
 
@@ -74,7 +77,7 @@ def live(player: Player, say: Callable[[str], object]) -> None:
     """
     import mujoco.viewer
 
-    keyboard = Keyboard(player.contract.commands, player.course.speed)
+    keyboard = Keyboard(player.contract.commands, player.cfg.speed)
     world, dt = player.world, player.contract.timing.control_step_s
     player.start()
     with mujoco.viewer.launch_passive(

@@ -1,4 +1,4 @@
-"""One robot in plain MuJoCo: the model of an export folder, its drives by the contract, and ground below it."""
+"""One robot in plain MuJoCo: the model of an export, actuators as the contract defines them, and ground."""
 
 from __future__ import annotations
 
@@ -9,30 +9,37 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from humoslope.deploy.contract import Contract
+from humoslope.deploy.controller import read_hashed
 from humoslope.deploy.quantities import Array, Measured
 from humoslope.errors import UserError, unknown
 
 RUN_UP = 0.75
-"""Level ground ahead of the start before a ramp begins, m; as in the ramp check."""
+"""Length of level ground between the start and a ramp, m; as in the ramp check."""
 BEHIND, HALF_WIDTH, HALF_THICKNESS = 20.0, 20.0, 0.5
-"""Of the slabs that make a ramp: level ground behind the start, and their other extents, m."""
+"""Length of level ground behind the start, and half extents of the slabs that make up a ramp, m."""
 GROUND = "ground"
+FOOT_DOWN_N = 5.0
+"""A foot is down while the ground carries it with at least this normal force, N."""
 
 
 class World:
     """A robot that starts at the origin and faces along x.
 
     Attributes:
-        model, data: MuJoCo's own.
-        grade: Of the ramp, rad; positive rises along x.
+        model: MuJoCo's model.
+        data: MuJoCo's data.
+        grade: Grade of the ramp, rad; positive rises along x.
+        foot_bodies: Ids of the bodies that carry the foot geoms, one for each foot.
 
     Args:
         folder: The export folder.
-        grade: Of the ramp in degrees; 0 for flat ground.
-        friction: Between feet and ground.
-        length: Of the ramp, m.
+        contract: The contract in it.
+        grade: Grade of the ramp, degrees; 0 for flat ground.
+        friction: Coefficient of friction between feet and ground.
+        length: Length of the ramp, m.
 
     Raises:
         UserError: If the model is missing, broken, or lacks what the contract names.
@@ -40,7 +47,7 @@ class World:
 
     def __init__(self, folder: Path, contract: Contract, grade: float, friction: float, length: float) -> None:
         self._contract, self.grade = contract, math.radians(grade)
-        spec = _load(folder / contract.robot.file)
+        spec = _load(folder / contract.robot.file, contract.robot.sha256)
         root = _named(spec.body(contract.robot.root_body), "body", contract.robot.root_body, spec.bodies)
         floating = root.first_joint()
         if floating is None or floating.type != mujoco.mjtJoint.mjJNT_FREE:
@@ -61,15 +68,22 @@ class World:
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
         self._default = np.array([joint.default_rad for joint in contract.joints])
+        feet = [int(self.model.geom(name).bodyid[0]) for name in contract.robot.foot_geoms]
+        self.foot_bodies = sorted(set(feet))
+        self._foot_of_geom = {
+            int(self.model.geom(name).id): self.foot_bodies.index(body)
+            for name, body in zip(contract.robot.foot_geoms, feet, strict=True)
+        }
         self.reset()
 
     def reset(self, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, joints: Array | float = 0.0) -> None:
-        """Puts the robot down at rest in its default pose, a centimetre above the ground.
+        """Places the robot at rest in its default pose, a centimetre above the ground.
 
         Args:
-            x, y: Place, m.
+            x: Position along the course, m.
+            y: Position across the course, m.
             yaw: Heading, rad.
-            joints: [J] offset from the default pose, rad; kept within the joints' ranges.
+            joints: [J] offset from the default pose, rad; clipped to the joints' ranges.
         """
         model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
@@ -83,10 +97,10 @@ class World:
         self._take_state()
 
     def step(self, target: Array) -> None:
-        """Lets one control step pass with the joints driven to `target` [J], rad."""
+        """Advances by one control step with joint targets `target` [J], rad."""
         self.data.ctrl[:] = target
         mujoco.mj_step(self.model, self.data, self._contract.decimation - 1)
-        # The contract's observations are of the instant of the last forces: one physics step before the new targets.
+        # The contract's observations belong to the last computed forces: one physics step before the new targets.
         self._take_state()
         mujoco.mj_step(self.model, self.data)
 
@@ -94,7 +108,7 @@ class World:
         self._seen_pos, self._seen_vel = self.data.qpos.copy(), self.data.qvel.copy()
 
     def measured(self, command: Array, last_action: Array) -> Measured:
-        """What the robot knows, of the instant that the contract asks for."""
+        """Returns the measurements of the instant that the contract prescribes."""
         i, j = self._free_pos, self._free_vel
         return Measured(
             root_quat_w=self._seen_pos[i + 3 : i + 7],
@@ -107,7 +121,7 @@ class World:
 
     @property
     def root_pos(self) -> Array:
-        """[3] m, of the same instant as what is measured."""
+        """Position of the root [3], m, at the instant of the measurements."""
         return self._seen_pos[self._free_pos : self._free_pos + 3]
 
     @property
@@ -117,15 +131,26 @@ class World:
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     def ground(self, x: float) -> float:
-        """Height of the ground at x, m."""
+        """Returns the height of the ground at x, m."""
         return math.tan(self.grade) * max(x - RUN_UP, 0.0)
 
     def along(self, x: float) -> float:
-        """Way on the ground from the origin to x, m."""
+        """Returns the distance along the ground from the origin to x, m."""
         return min(x, RUN_UP) + max(x - RUN_UP, 0.0) / math.cos(self.grade)
 
+    def feet_down(self) -> NDArray[np.bool_]:
+        """Returns for each of `foot_bodies` whether the ground carries it, [F]."""
+        force, wrench = np.zeros(len(self.foot_bodies)), np.zeros(6)
+        for i, contact in enumerate(self.data.contact):
+            for geom in contact.geom:
+                foot = self._foot_of_geom.get(int(geom))
+                if foot is not None:
+                    mujoco.mj_contactForce(self.model, self.data, i, wrench)
+                    force[foot] += wrench[0]
+        return force >= FOOT_DOWN_N
+
     def fallen(self) -> bool:
-        """Whether the robot is down by the contract's measure, or the physics went wrong."""
+        """Returns whether the robot has fallen as the contract defines it, or the physics has diverged."""
         fall, warnings = self._contract.fall, self.data.warning
         bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
         if any(warnings[kind].number for kind in (*bad, mujoco.mjtWarning.mjWARN_BADCTRL)):
@@ -138,12 +163,11 @@ class World:
         return bool(too_low or tilted)
 
 
-def _load(path: Path) -> mujoco.MjSpec:
-    if not path.is_file():
-        raise UserError(f"'{path}' does not exist; it belongs to the export folder '{path.parent}'.")
+def _load(path: Path, sha256: str | None) -> mujoco.MjSpec:
+    content = read_hashed(path, sha256, "robot model")
     try:
-        return mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
+        return mujoco.MjSpec.from_string(content.decode("utf-8"))
+    except ValueError as error:
         raise UserError(f"'{path}' is no MuJoCo model: {_line(error)}.") from None
 
 
@@ -152,17 +176,17 @@ def _line(error: Exception) -> str:
 
 
 def _named(element: Any, kind: str, name: str, known: Iterable[Any]) -> Any:
-    """`element`, which was looked up by `name`; raises UserError if there is none."""
+    """Returns `element`, which was looked up by `name`; raises UserError if it is None."""
     if element is None:
         raise unknown(f"the robot model's {kind}", name, (other.name for other in known if other.name))
     return element
 
 
 def _add_drives(spec: mujoco.MjSpec, contract: Contract) -> None:
-    """Position actuators from the contract's gains and limits, in its order.
+    """Adds position actuators with the contract's gains and limits, in its order.
 
-    Their force is the contract's torque. MuJoCo's integrator takes the damping implicitly, at the end of a step, as it
-    did in training; at 5 ms that brakes a little. With torques computed outside, at the start of a step, or with a
+    Their force is the contract's torque. MuJoCo integrates the damping implicitly, at the end of a step, as in
+    training; at 5 ms that slows the joints a little. With torques computed outside, at the start of a step, or with a
     finer step the shipped Stage I walks at 0.6 instead of 0.48 m/s.
     """
     for joint in contract.joints:
@@ -181,7 +205,7 @@ def _add_drives(spec: mujoco.MjSpec, contract: Contract) -> None:
 
 
 def _add_ground(spec: mujoco.MjSpec, grade: float, length: float) -> None:
-    """A plane, or a level slab up to `RUN_UP` and a tilted one from there."""
+    """Adds a plane, or a level slab up to `RUN_UP` and a tilted one from there."""
     texture = spec.add_texture(
         name=GROUND,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -202,7 +226,7 @@ def _add_ground(spec: mujoco.MjSpec, grade: float, length: float) -> None:
     spec.worldbody.add_geom(
         type=box, size=[half, HALF_WIDTH, HALF_THICKNESS], pos=[RUN_UP - half, 0.0, -HALF_THICKNESS], **shared
     )
-    forward, up = (math.cos(grade), math.sin(grade)), (-math.sin(grade), math.cos(grade))  # x and z of each
+    forward, up = (math.cos(grade), math.sin(grade)), (-math.sin(grade), math.cos(grade))  # (x, z) of the ramp's axes
     x, z = (0.5 * length * f - HALF_THICKNESS * u for f, u in zip(forward, up, strict=True))
     spec.worldbody.add_geom(
         type=box,

@@ -1,1 +1,1 @@
-"""A trained policy as files that run without this framework."""
+"""Export of a trained policy to files that run without this framework."""

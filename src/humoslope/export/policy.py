@@ -1,38 +1,37 @@
-"""A trained policy as files that run without this framework: network, contract, robot model, Unitree's deploy.yaml."""
+"""Export of a trained policy: network, contract, robot model, and deploy.yaml for Unitree's deployment."""
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from tensordict import TensorDict
-from torch import Tensor
 
 import humoslope
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
-from humoslope.deploy.quantities import QUANTITIES
+from humoslope.deploy.quantities import CUSTOM, QUANTITIES
 from humoslope.deploy.unitree import deploy_yaml
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError, unknown
 from humoslope.evaluation.common import roll
-from humoslope.export.onnx import INPUT, OUTPUT, largest_difference, translate
+from humoslope.export.onnx import OUTPUT, largest_difference, network_inputs, translate
 from humoslope.files import write_atomically, write_text
-from humoslope.learning.policy import GROUP, Actor, Provenance
-from humoslope.managers import ObservationTermCfg, Terms, VelocityCommandCfg
+from humoslope.learning.policy import Actor, Provenance
+from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms, VelocityCommandCfg
+from humoslope.managers.terms import bind, first_value
 from humoslope.mdp import terminations
 from humoslope.provenance import git_state
-from humoslope.scene.robot import Robot
 
-# Where Unitree's deployment looks for them in a policy folder.
+# Paths at which Unitree's deployment looks for them in a policy folder.
 ONNX, DEPLOY = "exported/policy.onnx", "params/deploy.yaml"
 MODEL = "model.xml"
 TOLERANCE = 1e-5
-"""How far an action of the ONNX file may be from torch's."""
+"""Largest difference between an action of the ONNX file and torch's."""
 
 CONVENTIONS = (
     "SI units: m, s, rad, kg, N, Nm; degrees where a name ends in _deg. Right-handed frames, x forward, y left, z up; "
@@ -42,89 +41,102 @@ CONVENTIONS = (
 
 @dataclass(frozen=True)
 class Exported:
-    """What came out.
+    """Result of an export.
 
     Attributes:
-        contract: As written.
+        contract: The contract as written.
         difference: Largest difference between an action of the ONNX file and torch's.
-        compared: Observations for which both were computed.
+        compared: Number of observations on which the two were compared.
+        without_deploy_yaml: Reason why no deploy.yaml was written for Unitree's deployment; None if it was.
     """
 
     contract: Contract
     difference: float
     compared: int
+    without_deploy_yaml: str | None
 
 
-def record_observations(env: ManagerBasedRlEnv, actor: Actor, seconds: float) -> Tensor:
-    """What the actor sees while it drives all worlds for `seconds`, [K, d]."""
-    seen: list[Tensor] = []
+def record_observations(env: ManagerBasedRlEnv, actor: Actor, seconds: float) -> TensorDict:
+    """Returns what the actor reads while it drives all envs for `seconds`: its groups, batch [K]."""
+    seen: list[TensorDict] = []
 
-    def act(obs: TensorDict) -> Tensor:
-        seen.append(obs[GROUP])
+    def act(obs: TensorDict) -> Any:
+        seen.append(obs.select(*actor.spec.groups))
         return actor(obs)
 
     roll(env, act, seconds, lambda failed, ended: None)
-    return torch.cat(seen)
+    recorded: TensorDict = TensorDict.cat(seen)
+    return recorded
 
 
-def export(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: Tensor, folder: Path) -> Exported:
-    """Writes the policy into `folder`; the contract last, so that a folder with one is whole.
+def export(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: TensorDict, folder: Path) -> Exported:
+    """Writes the policy into `folder`; the contract last, so that a folder with a contract is complete.
 
     Args:
-        env: An environment of the task with the physics of the evaluation.
-        trained: The environment as it was trained in, for what the policy was asked there.
-        observations: [K, d] of a real rollout, on which the ONNX file must agree with torch.
+        actor: The policy.
+        env: Environment of the task with the physics of the evaluation.
+        trained: Configuration of the environment in training, for commands, noise and terminations.
+        observations: Observations of a real rollout, batch [K], on which the ONNX file must agree with torch.
+        folder: Folder to write into.
 
     Raises:
-        UserError: If the contract cannot say what the policy needs, or the ONNX file does something else than torch.
+        UserError: If the contract cannot describe what the policy needs, or the ONNX file acts differently from torch.
     """
-    content = translate(actor)
+    content = translate(actor, observations)
     difference = largest_difference(content, actor, observations)
     if not difference <= TOLERANCE:
         raise UserError(
             f"the ONNX file differs from torch by {difference:.2g} on {len(observations)} observations, more than "
             f"{TOLERANCE:g}; nothing was written."
         )
-    digest = hashlib.sha256(content).hexdigest()
-    contract = describe(actor.provenance, env, trained, digest)
+    model = robot_xml(env)
+    contract = make_contract(actor, env, trained, observations, content, model)
     write_atomically(folder / ONNX, lambda path: path.write_bytes(content))
-    write_text(folder / MODEL, robot_xml(env))
-    write_text(folder / DEPLOY, deploy_yaml(contract))
+    write_text(folder / MODEL, model)
+    try:
+        write_text(folder / DEPLOY, deploy_yaml(contract))
+        without = None
+    except UserError as error:
+        (folder / DEPLOY).unlink(missing_ok=True)  # of an earlier export
+        without = str(error)
     write_text(folder / contracts.FILE, contract.to_json())
-    return Exported(contract, difference, len(observations))
+    return Exported(contract, difference, len(observations), without)
 
 
-def describe(provenance: Provenance, env: ManagerBasedRlEnv, trained: EnvCfg, sha256: str) -> Contract:
-    """The contract of a policy.
+def make_contract(
+    actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: TensorDict, onnx: bytes, model: str
+) -> Contract:
+    """Returns the contract of a policy.
 
     Args:
+        actor: As in `export`.
         env: As in `export`.
         trained: As in `export`.
-        sha256: Of the ONNX file.
+        observations: As in `export`; only the shapes are used.
+        onnx: The ONNX file.
+        model: The robot model.
 
     Raises:
-        UserError: If an observation has no description, or the robot is not as the descriptions take it to be.
+        UserError: If an observation has no description, or the robot does not meet the assumptions of the descriptions.
     """
-    robot, sim, group = env.robot, env.cfg.sim, trained.observations.actor
+    robot, sim = env.robot, env.cfg.sim
     _check_imu(env)
-    terms = tuple(_term(name, term, robot, group.enable_corruption) for name, term in group.terms.items())
     return Contract(
         format="humoslope-policy",
-        version=contracts.VERSION,
+        version=2,
         exported_by=f"humoslope {humoslope.__version__}, {git_state().splitlines()[0]}",
         conventions=CONVENTIONS,
-        training=_training(provenance),
+        training=_training(actor.provenance),
         network=contracts.Network(
             file=ONNX,
-            sha256=sha256,
-            input=INPUT,
-            inputs=group.history * sum(len(term.components) for term in terms),
-            output=OUTPUT,
-            outputs=robot.num_joints,
+            sha256=hashlib.sha256(onnx).hexdigest(),
+            inputs=network_inputs(actor, observations),
+            output=contracts.NetworkOutput(OUTPUT, (1, robot.num_joints)),
         ),
         robot=contracts.RobotModel(
             name=robot.name,
             file=MODEL,
+            sha256=hashlib.sha256(model.encode("utf-8")).hexdigest(),
             root_body=robot.root_body,
             foot_geoms=tuple(geom for side in robot.foot_geoms for geom in side),
             default_root_height_m=robot.default_root_height,
@@ -137,29 +149,24 @@ def describe(provenance: Provenance, env: ManagerBasedRlEnv, trained: EnvCfg, sh
             torque="stiffness_nm_rad * (target - position) - damping_nms_rad * velocity, within +-effort_limit_nm",
         ),
         joints=_joints(env, trained.actions.scale_factor),
-        observation=contracts.Observation(
-            history=group.history,
-            layout="terms in this order; of each term all frames, oldest first",
-            start="all frames equal the first one",
-            terms=terms,
-        ),
+        observations=tuple(_group(name, getattr(trained.observations, name), env) for name in actor.spec.groups),
         commands=_commands(trained.command),
         fall=_fall(trained.terminations),
     )
 
 
 def robot_xml(env: ManagerBasedRlEnv) -> str:
-    """The robot alone as MJCF with the physics options of `env`; the contract says how it is driven and measured.
+    """Returns the robot alone as MJCF with the physics options of `env`; actuators and sensors are in the contract.
 
     MuJoCo writes six digits.
 
     Raises:
-        UserError: If it needs other files.
+        UserError: If the robot needs other files.
     """
     spec = env.robot.make_spec()
     if spec.meshes:
         raise UserError(f"{env.robot.name}: its model needs mesh files, which an export does not carry.")
-    # By the contract's own numbers whoever reads it makes actuators; a key without them would not fit.
+    # The reader builds actuators from the contract's numbers; keyframes with controls would not match without them.
     for part in (*spec.actuators, *spec.sensors, *spec.keys):
         spec.delete(part)
     spec.option.timestep = env.sim.model.opt.timestep
@@ -184,33 +191,47 @@ def _check_imu(env: ManagerBasedRlEnv) -> None:
     site, root = env.sim.model.site(env.robot.imu_site), env.sim.model.body(env.robot.root_body)
     if site.bodyid[0] != root.id or not np.allclose(site.quat, (1.0, 0.0, 0.0, 0.0), atol=1e-6):
         raise UserError(
-            f"{env.robot.name}: site '{site.name}' must lie in '{root.name}' and along its axes, "
+            f"{env.robot.name}: site '{site.name}' must belong to '{root.name}' and be parallel to its axes, "
             "because a contract gives the angular velocity in the root's frame."
         )
 
 
-def _term(name: str, term: ObservationTermCfg, robot: Robot, noisy: bool) -> contracts.Term:
-    function = getattr(term.func, "__qualname__", str(term.func))
-    quantity = getattr(term.func, "measured_quantity", None)
+def _group(name: str, cfg: ObservationGroupCfg, env: ManagerBasedRlEnv) -> contracts.ObservationGroup:
+    return contracts.ObservationGroup(
+        name=name,
+        history=cfg.history,
+        layout="terms in this order; of each term all frames, oldest first",
+        start="all frames equal the first one",
+        terms=tuple(_term(f"{name}.{n}", n, term, env, cfg.enable_corruption) for n, term in cfg.terms.items()),
+    )
+
+
+def _term(where: str, name: str, cfg: ObservationTermCfg, env: ManagerBasedRlEnv, noisy: bool) -> contracts.Term:
+    function = getattr(cfg.func, "__qualname__", str(cfg.func))
+    quantity = getattr(cfg.func, "measured_quantity", None)
     if quantity is None:
         raise UserError(
-            f"observation '{name}': {function} does not say what it measures, so a contract could not describe it; "
-            "declare it with @measured_as."
+            f"observation '{where}': {function} does not say what it measures, so a contract could not describe it; "
+            f"declare it with @measured_as, as '{CUSTOM}' if no player but your own shall compute it."
         )
+    common = {"name": name, "quantity": quantity, "scale": cfg.scale, "training_noise": cfg.noise if noisy else 0.0}
+    if quantity == CUSTOM:
+        value = first_value("observation", where, bind("observation", where, cfg, env), env)
+        meaning = (inspect.getdoc(cfg.func) or "").partition("\n\n")[0].replace("\n", " ")
+        return contracts.Term(meaning=meaning, frame="", unit=(), components=(), shape=tuple(value.shape[1:]), **common)
     if quantity not in QUANTITIES:
-        raise UserError(f"observation '{name}': {unknown('quantity', quantity, QUANTITIES)}")
-    if term.params:
-        raise UserError(f"observation '{name}': a contract cannot carry its parameters ({', '.join(term.params)}).")
+        raise UserError(f"observation '{where}': {unknown('quantity', quantity, (*QUANTITIES, CUSTOM))}")
+    if cfg.params:
+        raise UserError(f"observation '{where}': a contract cannot carry its parameters ({', '.join(cfg.params)}).")
     known = QUANTITIES[quantity]
+    components = known.components or env.robot.joint_names
     return contracts.Term(
-        name=name,
-        quantity=quantity,
         meaning=known.meaning,
         frame=known.frame,
         unit=known.unit,
-        components=known.components or robot.joint_names,
-        scale=term.scale,
-        training_noise=term.noise if noisy else 0.0,
+        components=components,
+        shape=(len(components),),
+        **common,
     )
 
 
@@ -239,7 +260,7 @@ def _commands(cfg: VelocityCommandCfg) -> contracts.Commands:
         forward_m_s=cfg.speed,
         left_m_s=cfg.lateral,
         yaw_rate_rad_s=(low, high),
-        stands=cfg.standing_share > 0.0,
+        trained_to_stand=cfg.standing_share > 0.0,
         held_s=cfg.resample_s,
         steering=contracts.Steering(
             law="clamp(heading_gain_per_s * wrap(-lateral_gain_rad_m * place_left_of_course - yaw), +-limit_rad_s)",
@@ -251,7 +272,7 @@ def _commands(cfg: VelocityCommandCfg) -> contracts.Commands:
 
 
 def _fall(terms: Terms[Any]) -> contracts.Fall:
-    """The limits of the terminations that any robot can be judged by."""
+    """Limits of the terminations that apply to any robot."""
 
     def limit(function: Any, parameter: str) -> float | None:
         found = [term.params[parameter] for _, term in terms.items() if term.func is function]

@@ -1,4 +1,4 @@
-"""What happened in a recorded walk, read off its columns: falls, pushes, and the ground it came to."""
+"""Events of a recorded walk, derived from its columns: falls, pushes, and changes of the ground."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ from numpy.typing import NDArray
 from humoslope.replay.rollout import Columns, Event
 
 SETTLED = 0.3
-"""Other ground counts once it has lasted this long, s: less is a bump."""
+"""Shortest time for which a change of the ground counts, s; anything shorter is a bump."""
 
 GROUND = ("level ground", "slope up", "slope down")
 
 
 def falls(columns: Columns, last: bool) -> list[Event]:
-    """Each fall, after which the robot is put up again.
+    """Returns an event for each fall, after which the robot is reset.
 
     Args:
-        last: Whether the last row is a fall too.
+        columns: The walk.
+        last: True if the last row is a fall too.
     """
     rows = np.flatnonzero(np.diff(columns.episode)).tolist() + ([len(columns) - 1] if last else [])
     return [Event(float(columns.time[row]), "fall", "the robot falls") for row in rows]
 
 
-def pushes(kicks: Sequence[tuple[float, float, float]]) -> list[Event]:
-    """Each push.
+def pushes(changes: Sequence[tuple[float, float, float]]) -> list[Event]:
+    """Returns an event for each push.
 
     Args:
-        kicks: (time in s, change of velocity along world x and y in m/s).
+        changes: (time in s, change of velocity along world x and along world y in m/s).
     """
     return [
         Event(time, "push", f"push of {math.hypot(x, y):.2f} m/s towards {math.degrees(math.atan2(y, x)):.0f}°")
-        for time, x, y in kicks
+        for time, x, y in changes
     ]
 
 
 def grounds(columns: Columns, dt: float) -> list[Event]:
-    """Each change between level ground and slopes, as the fitted plane sees it, with the plane's grade."""
+    """Returns an event for each change between level ground and slopes of the fitted plane, with the plane's grade."""
     kind = np.where(columns.uphill, 1, np.where(columns.downhill, 2, 0))
     events, known = [], -1
     for start, end in _runs(kind):
@@ -53,11 +54,13 @@ def grounds(columns: Columns, dt: float) -> list[Event]:
 
 
 def segments(columns: Columns, start_x: float, names: Sequence[str], ends: Sequence[float]) -> list[Event]:
-    """Each segment of a course, when it is come to for the first time since the last fall.
+    """Returns an event for each segment of a course when it is first reached after a start or fall.
 
     Args:
+        columns: The walk.
         start_x: World x at which the course starts, m.
-        names, ends: Of the segments; where each ends, m from the start.
+        names: Names of the segments.
+        ends: End of each segment, m from the start of the course.
     """
     index = np.searchsorted(np.asarray(ends[:-1]), columns.root_pos_w[:, 0] - start_x, side="right")
     events, known, episode = [], -1, -1
@@ -70,6 +73,6 @@ def segments(columns: Columns, start_x: float, names: Sequence[str], ends: Seque
 
 
 def _runs(values: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """First row, and row after the last, of each stretch of equal values."""
+    """Returns the first row, and the row after the last, of each stretch of equal values."""
     cuts = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
     return list(itertools.pairwise(cuts))

@@ -1,10 +1,10 @@
-"""A policy walks once over a terrain, and the walk is kept as a rollout."""
+"""Recording of a policy's walk over a terrain as a rollout."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -19,38 +19,39 @@ from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.learning.policy import Provenance
 from humoslope.managers import EventTermCfg, RewardTermCfg, Terms
 from humoslope.mdp.bsga import ComHeight
+from humoslope.mdp.events import push
 from humoslope.mdp.zmp import ZmpRegulariser
 from humoslope.provenance import git_state, plain
 from humoslope.replay import events
-from humoslope.replay.recorder import Pushes, Recorder
+from humoslope.replay.recorder import RolloutRecorder
 from humoslope.replay.rollout import Columns, Event, Rollout
 from humoslope.terrain import course, registry
 from humoslope.terrain.grid import SPAWN_X, Tile, TileRowCfg
 
 USUAL_GRADE = 20.0
-"""Grade where none is asked for, degrees."""
+"""Default grade, degrees."""
 ROOM = 1.5
-"""Ground for this many times the commanded way."""
+"""Length of the ground, in commanded distances."""
 SHORTEST = 10.0
 """Shortest tile, m; as in training."""
 
 
 @dataclass(frozen=True)
 class RecordProtocol:
-    """What is recorded: one world, no noise, no harness and no randomisation but the start.
+    """Terrain, command and physics of a recording: one env, without noise, harness and randomisation but of the start.
 
     Attributes:
-        terrain: A registered terrain, or a course such as the held-out track.
-        grade: Of that terrain, degrees; by default 20, or the nearest that it has.
+        terrain: Name of a registered terrain, or of a course such as the held-out track.
+        grade: Grade of the terrain, degrees; by default 20, or the nearest that it has.
         level: Difficulty in [0, 1] instead of a grade.
-        seconds: Length of the recording, s; it ends earlier where the ground does. The held-out track takes some 70 s.
+        seconds: Length of the recording, s; it ends earlier where the ground ends. The held-out track takes some 70 s.
         speed: Commanded forward speed, m/s.
         push: Largest change of the root's velocity by a push, m/s along each axis; 0 for none.
         push_every: Time between pushes, s.
         timestep: Physics step, s; the control step stays the task's.
-        friction: Smallest coefficient between feet and ground.
-        friction_margin: The coefficient is at least tan(grade) plus this.
-        seed: Of the start and the pushes.
+        friction: Smallest coefficient of friction between feet and ground.
+        friction_margin: Smallest difference between the coefficient of friction and tan(grade).
+        seed: Seed of the random start and the pushes.
     """
 
     terrain: str = "ramp-up"
@@ -76,7 +77,7 @@ class RecordProtocol:
         require_not_negative("record", push=self.push, friction=self.friction, friction_margin=self.friction_margin)
 
     def resolve_grade(self) -> float:
-        """The grade in degrees.
+        """Returns the grade, degrees.
 
         Raises:
             UserError: If the terrain does not exist or does not have the grade.
@@ -94,37 +95,39 @@ class RecordProtocol:
         return self.grade
 
     def ground(self) -> TileRowCfg:
-        """The terrain at its grade: a course as it is, any other terrain long enough for the walk."""
+        """Returns the terrain at its grade: a course unchanged, any other terrain long enough for the walk."""
         if course.is_course(self.terrain):
             return course.find(self.terrain).ground((self.resolve_grade(),))
         length = max(SHORTEST, math.ceil(SPAWN_X + ROOM * self.speed * self.seconds))
         return TileRowCfg([Tile(registry.find(self.terrain), self.resolve_grade())], tile_length=float(length))
 
 
-def record_env_cfg(task_env: EnvCfg, protocol: RecordProtocol) -> EnvCfg:
-    """One world of a task, with its rewards, as the ramp check sets it up, on the protocol's terrain.
+def record_env_cfg(task_env: EnvCfg, protocol: RecordProtocol, groups: Sequence[str] = ("actor",)) -> EnvCfg:
+    """Returns one env of a task, with its rewards, set up as in the ramp check, on the protocol's terrain.
+
+    Args:
+        task_env: Environment of the task.
+        protocol: What to record.
+        groups: Observation groups that the policy reads; they are kept, without noise.
 
     Raises:
-        UserError: If the task cannot be recorded so.
+        UserError: If the task has no such group, or cannot be recorded with the protocol's physics.
     """
     same = ("seconds", "speed", "timestep", "friction", "friction_margin", "seed")
     check = RampProtocol(grades=(0.0,), starts=1, **{name: getattr(protocol, name) for name in same})
     cfg = ramp_env_cfg(task_env, check)
     cfg.scene = dataclasses.replace(task_env.scene, terrain=protocol.ground())
     cfg.rewards = task_env.rewards
+    kept = {name: getattr(task_env.observations, name) for name in groups}
+    cfg.observations = Terms(**{n: dataclasses.replace(g, enable_corruption=False) for n, g in kept.items()})
     if protocol.push:
         every = (protocol.push_every,) * 2
-        cfg.events.push = EventTermCfg(Pushes, {"speed": protocol.push}, mode="interval", interval_s=every)
-    recorded = {
-        "regulariser": _params(task_env.rewards, ZmpRegulariser) or {},
-        "com_height": _params(task_env.rewards, ComHeight),
-    }
-    cfg.events.recorder = EventTermCfg(Recorder, recorded, mode="step")
+        cfg.events.push = EventTermCfg(push, {"speed": protocol.push}, mode="interval", interval_s=every)
     return cfg
 
 
 def _params(rewards: Terms[RewardTermCfg], kind: type) -> dict[str, Any] | None:
-    """Parameters of the task's reward of that kind; None if it has none."""
+    """Parameters of the reward term with that function; None if there is none."""
     return next((term.params for _, term in rewards.items() if term.func is kind), None)
 
 
@@ -134,28 +137,33 @@ def record(
     protocol: RecordProtocol,
     on_step: Callable[[], None] = lambda: None,
 ) -> Rollout:
-    """Lets the policy walk in an environment made by `record_env_cfg`. A robot that falls starts anew.
+    """Records a walk of the policy in an environment made by `record_env_cfg`. A robot that falls is reset.
 
     Args:
+        env: The environment.
+        policy: Actions for observations.
+        protocol: The protocol that the environment was made for.
         on_step: Called after every control step.
 
     Returns:
-        The rollout; its header does not yet say whose it is, see `signed`.
+        The rollout, without the origin of the policy in its header; see `with_provenance`.
     """
-    recorder: Recorder = env.events["recorder"]
+    rewards = env.cfg.rewards
+    recorder = RolloutRecorder(env, _params(rewards, ZmpRegulariser) or {}, _params(rewards, ComHeight))
     with torch.inference_mode():
         for _ in range(round(protocol.seconds / env.step_dt)):
             env.step(policy(env.get_observations()))
+            recorder.after_step()
             on_step()
             if recorder.ended:
                 break
-    columns = recorder.columns(env.step_dt)
+    columns = recorder.columns()
     terrain = env.cfg.scene.terrain.build()
     header = {
         "dt": env.step_dt,
         "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
         "protocol": plain(protocol),
-        "robot": _describe_robot(env),
+        "robot": _robot_header(env),
         "reward_terms": env.rewards.names,
         "terrain": {
             "name": protocol.terrain,
@@ -167,10 +175,10 @@ def record(
             "tile_width": terrain.tile_width,
         },
     }
-    return Rollout(header, columns, terrain.heights, _events(env, protocol, columns))
+    return Rollout(header, columns, terrain.heights, _events(env, protocol, recorder, columns))
 
 
-def _describe_robot(env: ManagerBasedRlEnv) -> dict[str, Any]:
+def _robot_header(env: ManagerBasedRlEnv) -> dict[str, Any]:
     robot = env.robot
     return {
         "name": robot.name,
@@ -183,9 +191,10 @@ def _describe_robot(env: ManagerBasedRlEnv) -> dict[str, Any]:
     }
 
 
-def _events(env: ManagerBasedRlEnv, protocol: RecordProtocol, columns: Columns) -> tuple[Event, ...]:
-    """What happened, in the order of time. On a course its segments tell of the ground, elsewhere the fitted plane."""
-    recorder: Recorder = env.events["recorder"]
+def _events(
+    env: ManagerBasedRlEnv, protocol: RecordProtocol, recorder: RolloutRecorder, columns: Columns
+) -> tuple[Event, ...]:
+    """All events in the order of time. Ground events come from a course's segments, elsewhere from the fitted plane."""
     happened = events.falls(columns, recorder.fell)
     if course.is_course(protocol.terrain):
         track = course.find(protocol.terrain)
@@ -193,16 +202,14 @@ def _events(env: ManagerBasedRlEnv, protocol: RecordProtocol, columns: Columns) 
         happened += events.segments(columns, float(env.tiles.origin_w[0, 0]), names, track.ends)
     else:
         happened += events.grounds(columns, env.step_dt)
-    if protocol.push:
-        pushes: Pushes = env.events["push"]
-        happened += events.pushes([(steps * env.step_dt, x, y) for steps, x, y in pushes.kicks])
+    happened += events.pushes(recorder.pushes)
     if recorder.ended:
         happened.append(Event(float(columns.time[-1]), "end", "end of the ground"))
     return tuple(sorted(happened))
 
 
-def signed(rollout: Rollout, provenance: Provenance, label: str) -> Rollout:
-    """The rollout with its header saying whose it is."""
+def with_provenance(rollout: Rollout, provenance: Provenance, label: str) -> Rollout:
+    """Returns the rollout with the origin of the policy in its header, called `label` in viewers."""
     checkpoint = plain(provenance) | {"training": provenance.training}
     header = rollout.header | {
         "task": provenance.task,

@@ -1,4 +1,4 @@
-"""Writes down what happens in the first world of an environment, step by step."""
+"""Recording of the first env of an environment, step by step."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from humoslope.managers.terms import StatefulTerm
-from humoslope.mdp import events
 from humoslope.mdp.bsga import ComHeight
 from humoslope.mdp.zmp import ZmpRegulariser
 from humoslope.replay.rollout import Columns
@@ -34,38 +32,43 @@ SIGNALS = (
     "foot_pos_w",
     "foot_force_w",
 )
-"""Columns that are signals of the same name."""
+"""Columns that are copies of the signal of the same name."""
 
 
-class Recorder(StatefulTerm):
-    """Step event that keeps a row of every column.
+class RolloutRecorder:
+    """Observer of an environment that keeps a row of every column for the first env.
 
-    Step events run after rewards and terminations and before resets, so that a fall is seen as it is.
+    Observers are called after rewards and terminations, and before events and resets: a fall is recorded as it is.
 
     Args:
+        env: The environment; the recorder adds itself to its observers.
         regulariser: Parameters of the `ZmpRegulariser` whose anchor, plane and point are recorded.
-        com_height: Parameters of the `ComHeight` whose target is recorded; None where the task has no target.
+        com_height: Parameters of the `ComHeight` whose target is recorded; None if the task has no target.
 
     Attributes:
-        ended: Whether the robot left its ground in the last step.
-        fell: Whether it fell.
+        fell: True if the robot fell in the last step.
+        ended: True if the robot left its ground in the last step.
+        pushes: Changes of the root's velocity that events made: (time in s, along world x and along world y in m/s).
     """
 
     def __init__(self, env: Env, regulariser: dict[str, Any], com_height: dict[str, Any] | None = None) -> None:
         self._zmp = ZmpRegulariser(env, **regulariser)
         self._com_height = None if com_height is None else ComHeight(env, **com_height)
+        self._qvel = env.sim.state("qvel")
         self._rows: list[dict[str, Tensor]] = []
-        self._episode = 0
+        self._episode, self._dt = 0, env.step_dt
         self.ended = self.fell = False
+        self.pushes: list[tuple[float, float, float]] = []
+        env.observers.append(self)
 
-    def __call__(self, env: Env, mask: Tensor) -> None:
+    def __call__(self, env: Env) -> None:
         signals, ground = env.signals, env.height_scan.descriptor
         self._zmp(env)
         row = {name: getattr(signals, name) for name in SIGNALS} | {
             "action": env.actions.action,
             "command": env.commands.velocity,
             "com_height_target": self._vertical_target(env),
-            "reward": env.rewards.last,
+            "reward": env.rewards.last if env.rewards.names else env.zeros(0),
             "slope": ground.slope,
             "bank": ground.bank,
             "ground_normal_w": quaternion.rotate(quaternion.from_yaw(signals.heading_w), ground.normal),
@@ -78,54 +81,31 @@ class Recorder(StatefulTerm):
         }
         self._rows.append({name: value[0].cpu().clone() for name, value in row.items()})
         self._rows[-1]["episode"] = torch.tensor(self._episode, dtype=torch.int32)
-        self.fell = bool(env.terminations.terminated[0] | env.diverged[0])
+        failed = env.terminations.terminated | env.diverged
+        self.fell = bool(failed[0])
         self.ended = bool(env.terminations.time_outs[0]) and not self.fell
         self._episode += self.fell
+        self._zmp.reset(failed | env.terminations.time_outs)
+        self._before = self._qvel[0, :2].clone()
 
-    @property
-    def steps(self) -> int:
-        """Rows so far."""
-        return len(self._rows)
+    def after_step(self) -> None:
+        """Records what events did to the root's velocity. To be called after `env.step`.
+
+        Only events act between an observer and the end of a step, unless the episode has ended.
+        """
+        x, y = (self._qvel[0, :2] - self._before).tolist()
+        if (x or y) and not (self.fell or self.ended):
+            self.pushes.append((len(self._rows) * self._dt, x, y))
 
     def _vertical_target(self, env: Env) -> Tensor:
         """Height of the centre of mass above the ground below it that the task asks for, [N] m."""
         if self._com_height is None:
             return torch.full_like(env.signals.com_height, torch.nan)
-        # What lies at right angles to the slope is further off vertically.
+        # The target is perpendicular to the slope; measured vertically it is longer.
         return self._com_height.target(env) / env.height_scan.descriptor.slope.cos()
 
-    def reset(self, mask: Tensor) -> None:
-        """The support plane of the last episode is forgotten; the rows stay."""
-        self._zmp.reset(mask)
-
-    def columns(self, dt: float) -> Columns:
-        """All rows, `dt` seconds apart."""
+    def columns(self) -> Columns:
+        """Returns all rows."""
         rows = self._rows
         arrays = {name: torch.stack([row[name] for row in rows]).numpy() for name in rows[0]}
-        return Columns(time=(np.arange(1, len(rows) + 1) * dt).astype(np.float32), **arrays)
-
-
-class Pushes(StatefulTerm):
-    """Interval event: `events.push`, remembered. There must be a `Recorder` called "recorder".
-
-    Args:
-        speed: See `events.push`.
-
-    Attributes:
-        kicks: (recorded steps before it, change of the root's velocity in m/s along world x and y).
-    """
-
-    def __init__(self, env: Env, speed: float) -> None:
-        self._speed = speed
-        self.kicks: list[tuple[int, float, float]] = []
-
-    def __call__(self, env: Env, mask: Tensor) -> None:
-        qvel = env.sim.state("qvel")
-        before = qvel[0, :2].clone()
-        events.push(env, mask, self._speed)
-        if mask[0]:
-            x, y = (qvel[0, :2] - before).tolist()
-            self.kicks.append((env.events["recorder"].steps, x, y))
-
-    def reset(self, mask: Tensor) -> None:
-        """What was remembered stays."""
+        return Columns(time=(np.arange(1, len(rows) + 1) * self._dt).astype(np.float32), **arrays)

@@ -1,4 +1,4 @@
-"""The robot of a rollout, from its URDF: what each link looks like, and where it is at every step."""
+"""The robot of a rollout, from its URDF: shape of each link, and its pose at every step."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from humoslope.replay.shapes import Shape
 Array = NDArray[np.float64]
 
 CREASE = math.radians(40.0)
-"""Edges sharper than this stay visible when a shape is shaded smoothly, rad."""
+"""Smallest angle of an edge that stays visible under smooth shading, rad."""
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Where things are over T steps: `rotation` [T, 3, 3] and `position` [T, 3] m, world frame."""
+    """Poses over T steps in the world frame: `rotation` [T, 3, 3] and `position` [T, 3], m."""
 
     rotation: Array
     position: Array
@@ -36,23 +36,30 @@ class RobotShape:
     """A robot as it is drawn.
 
     Args:
-        urdf: Its text.
-        meshes: What each link looks like, instead of the shapes in the URDF.
+        urdf: Text of the URDF.
+        meshes: Shape of each link, instead of the shapes in the URDF.
 
     Attributes:
-        shapes: What each link that has one looks like, in the link's frame.
+        shapes: Shape of each link that has one, in the link's frame.
+
+    Raises:
+        UserError: If the URDF cannot be read.
     """
 
     def __init__(self, urdf: str, meshes: Mapping[str, Shape] | None = None) -> None:
         try:
             self._urdf = yourdfpy.URDF.load(io.BytesIO(urdf.encode()), load_meshes=False)
-        except Exception:  # lxml and yourdfpy raise whatever they stumble on
+            drawn = [link.name for link in self._urdf.robot.links if link.visuals]
+            self.shapes = dict(meshes) if meshes is not None else {link: _shape(self._urdf, link) for link in drawn}
+        except Exception:  # lxml, yourdfpy and trimesh have no common exception
             raise UserError("the URDF in this rollout cannot be read; record it anew.") from None
-        drawn = [link.name for link in self._urdf.robot.links if link.visuals]
-        self.shapes = dict(meshes) if meshes is not None else {link: _shape(self._urdf, link) for link in drawn}
 
     def poses(self, rollout: Rollout) -> dict[str, Poses]:
-        """Where every link is at every step of a walk."""
+        """Returns the pose of every link at every step of a walk.
+
+        Raises:
+            UserError: If a link is not connected to the root.
+        """
         columns = rollout.columns
         joint_pos = dict(zip(rollout.joint_names, columns.joint_pos.T.astype(np.float64), strict=True))
         w, x, y, z = columns.root_quat_w.T.astype(np.float64)
@@ -70,7 +77,7 @@ class RobotShape:
 
 
 def _beyond(parent: Poses, joint: Any, angle: Array | None) -> Poses:
-    """Where the link behind a joint is; `angle` [T] in rad is None for a joint that does not move."""
+    """Returns the poses of the link behind a joint; `angle` [T] in rad is None for a joint that does not move."""
     origin = np.eye(4) if joint.origin is None else joint.origin
     position = parent.position + parent.rotation @ origin[:3, 3]
     rotation = parent.rotation @ origin[:3, :3]
@@ -80,7 +87,7 @@ def _beyond(parent: Poses, joint: Any, angle: Array | None) -> Poses:
 
 
 def _shape(urdf: yourdfpy.URDF, link: str) -> Shape:
-    """The visuals of a link as one mesh; yourdfpy has put them into its scene below the link."""
+    """Returns the visuals of a link as one mesh; yourdfpy has put them into its scene below the link."""
     parts, colours = [], []
     for name in urdf.scene.graph.nodes_geometry:
         if urdf.scene.graph.transforms.parents[name] != link:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+import signal
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +85,8 @@ def write_video(rollout: Rollout, path: Path, cfg: VideoCfg, on_frame: Callable[
         UserError: If ffmpeg cannot be run.
     """
     steps = cfg.steps(rollout)
-    write_atomically(path, lambda temporary: _encode(_draw(rollout, steps, cfg), temporary, cfg, on_frame))
+    with contextlib.closing(_draw(rollout, steps, cfg)) as pictures:
+        write_atomically(path, lambda temporary: _encode(pictures, temporary, cfg, on_frame))
 
 
 def write_sheet(rollout: Rollout, path: Path, cfg: VideoCfg) -> None:
@@ -107,7 +110,7 @@ def contact_sheet(pictures: Sequence[Picture]) -> Picture:
     return sheet
 
 
-def _encode(pictures: Iterator[Picture], path: Path, cfg: VideoCfg, on_frame: Callable[[], None]) -> None:
+def _encode(pictures: Iterable[Picture], path: Path, cfg: VideoCfg, on_frame: Callable[[], None]) -> None:
     try:
         writer = imageio_ffmpeg.write_frames(
             str(path),
@@ -119,30 +122,34 @@ def _encode(pictures: Iterator[Picture], path: Path, cfg: VideoCfg, on_frame: Ca
             ffmpeg_log_level="error",
             output_params=QUALITY,
         )
-        writer.send(None)
-        for picture in pictures:
-            writer.send(np.ascontiguousarray(picture))
-            on_frame()
-        writer.close()
+        with contextlib.closing(writer):
+            writer.send(None)
+            for picture in pictures:
+                writer.send(np.ascontiguousarray(picture))
+                on_frame()
     except (RuntimeError, OSError) as error:
         reason = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
         raise UserError(f"ffmpeg could not write the video ({reason}).") from None
 
 
+_task: tuple[Rollout, VideoCfg] | None = None
 _frames: Frames | None = None
-"""What a drawing process draws with; made once in each."""
+"""What a drawing process draws, and with what; set once in each process."""
 
 
-def _draw(rollout: Rollout, steps: Sequence[int], cfg: VideoCfg) -> Iterator[Picture]:
-    """The pictures of these steps, in their order."""
+def _draw(rollout: Rollout, steps: Sequence[int], cfg: VideoCfg) -> Generator[Picture]:
+    """Yields the pictures of these steps, in their order."""
     workers = min(cfg.workers or usable_cores(), len(steps))
     if workers == 1:
         yield from map(_frames_of(rollout, cfg), steps)
         return
-    # Spawned, not forked: a fork would copy the locks of whatever threads run here.
+    # Spawned, not forked: a fork would copy locks that other threads hold.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _prepare, (rollout, cfg)) as pool:
+    pool = ProcessPoolExecutor(workers, context, _prepare, (rollout, cfg))
+    try:
         yield from pool.map(_draw_one, steps)
+    finally:
+        pool.shutdown(cancel_futures=True)  # a video that is given up is not drawn to its end
 
 
 def _frames_of(rollout: Rollout, cfg: VideoCfg) -> Frames:
@@ -151,10 +158,15 @@ def _frames_of(rollout: Rollout, cfg: VideoCfg) -> Frames:
 
 
 def _prepare(rollout: Rollout, cfg: VideoCfg) -> None:
-    global _frames  # noqa: PLW0603 - a process pool has no other place for what its processes keep
-    _frames = _frames_of(rollout, cfg)
+    """Prepares a drawing process."""
+    global _task  # noqa: PLW0603 - a process pool has no other place for what its processes keep
+    _task = rollout, cfg
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the first one ends the others
 
 
 def _draw_one(step: int) -> Picture:
-    assert _frames is not None
+    global _frames  # noqa: PLW0603
+    assert _task is not None
+    # Here and not in `_prepare`, whose errors would reach the user as a broken process pool.
+    _frames = _frames or _frames_of(*_task)
     return _frames(step)

@@ -1,4 +1,4 @@
-"""Rollouts as a rerun recording."""
+"""Conversion of rollouts to a rerun recording."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ PREFIXES = ("first/", "second/")
 
 
 def write_rrd(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] | None = None) -> None:
-    """Writes one rollout, or two side by side on one timeline, as an .rrd file with its layout.
+    """Writes one rollout, or two side by side on one timeline, to an .rrd file with its layout.
 
     Args:
+        rollouts: One or two rollouts.
+        path: The file.
         meshes: See `RobotShape`.
 
     Raises:
@@ -33,7 +35,7 @@ def write_rrd(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shap
 
 
 def _write(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] | None) -> None:
-    alone, names = len(rollouts) == 1, names_of(rollouts)
+    alone, names = len(rollouts) == 1, titles(rollouts)
     blueprint = layout.single(names[0]) if alone else layout.comparison(names, PREFIXES)
     # A viewer keeps one layout for each application, so that single walks and comparisons must be two.
     recording = rr.RecordingStream("humoslope" if alone else "humoslope comparison")
@@ -42,26 +44,26 @@ def _write(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] 
     for i, rollout in enumerate(rollouts):
         scene = Scene(recording, rollout, "" if alone else PREFIXES[i], meshes)
         scene.log()
-        scene.log_about(describe(rollout))
+        scene.log_about(provenance_text(rollout))
         log_plots(scene, rollout, shared="" if alone else f"{i + 1} ", pale=i > 0)
     recording.flush()
     recording.disconnect()
 
 
-def names_of(rollouts: Sequence[Rollout]) -> list[str]:
-    """What the viewer calls each rollout; numbered if there are several."""
+def titles(rollouts: Sequence[Rollout]) -> list[str]:
+    """Returns the title of each rollout; numbered if there are several."""
     number = "{}: " if len(rollouts) > 1 else ""
-    return [number.format(i) + title(rollout) for i, rollout in enumerate(rollouts, start=1)]
+    return [number.format(i) + rollout_title(rollout) for i, rollout in enumerate(rollouts, start=1)]
 
 
-def title(rollout: Rollout) -> str:
-    """Who walks where."""
+def rollout_title(rollout: Rollout) -> str:
+    """Returns label, terrain and grade of a rollout."""
     terrain = rollout.header["terrain"]
     return f"{rollout.header['label']}, {terrain['name']} {terrain['grade']:g}°"
 
 
-def describe(rollout: Rollout) -> str:
-    """Whose walk this is, as Markdown."""
+def provenance_text(rollout: Rollout) -> str:
+    """Returns the origin of a walk as Markdown: policy, terrain, checkpoint, code and time."""
     header = rollout.header
     checkpoint, terrain = header["checkpoint"], header["terrain"]
     return (
