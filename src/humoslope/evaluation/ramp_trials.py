@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from humoslope.evaluation.common import to_host
 from humoslope.statistics import Array, mean
 
 
@@ -105,15 +106,11 @@ class Recorder:
         return Trials(
             fell=self._fell.cpu().numpy(),
             left=self._left.cpu().numpy(),
-            seconds=_host(self._steps * self._dt),
-            start=_host(self._start),
-            end=_host(self._end),
-            samples=_host(self._samples),
-            speed=_host(self._speed / samples),
-            squared_error=_host(self._error),
-            height=_host(self._height / samples),
+            seconds=to_host(self._steps * self._dt),
+            start=to_host(self._start),
+            end=to_host(self._end),
+            samples=to_host(self._samples),
+            speed=to_host(self._speed / samples),
+            squared_error=to_host(self._error),
+            height=to_host(self._height / samples),
         )
-
-
-def _host(values: Tensor) -> Array:
-    return values.cpu().numpy().astype(np.float64)

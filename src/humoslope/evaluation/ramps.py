@@ -20,7 +20,7 @@ from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError, require_not_negative, require_positive
-from humoslope.evaluation.common import measuring_physics, roll
+from humoslope.evaluation.common import measuring_physics, rollout
 from humoslope.evaluation.ramp_trials import Recorder, Trials
 from humoslope.managers import EventTermCfg, RewardTermCfg, TerminationTermCfg, Terms
 from humoslope.mdp import events, rewards, terminations
@@ -212,7 +212,7 @@ def walk(
         place = signals.root_pos_w[:, 0] - start_x
         recorder.add(place, signals.root_lin_vel_t[:, 0], signals.root_height, failed, ended)
 
-    roll(env, policy, protocol.seconds, record, on_step)
+    rollout(env, policy, protocol.seconds, record, on_step)
     return recorder.trials()
 
 

@@ -19,7 +19,7 @@ from humoslope.deploy.quantities import QUANTITIES
 from humoslope.deploy.unitree import deploy_yaml
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError, unknown
-from humoslope.evaluation.common import roll
+from humoslope.evaluation.common import rollout
 from humoslope.export.onnx import INPUT, OUTPUT, largest_difference, translate
 from humoslope.files import write_atomically, write_text
 from humoslope.learning.policy import GROUP, Actor, Provenance
@@ -63,7 +63,7 @@ def record_observations(env: ManagerBasedRlEnv, actor: Actor, seconds: float) ->
         seen.append(obs[GROUP])
         return actor(obs)
 
-    roll(env, act, seconds, lambda failed, ended: None)
+    rollout(env, act, seconds, lambda failed, ended: None)
     return torch.cat(seen)
 
 

@@ -269,7 +269,7 @@ def test_a_world_that_diverges_has_fallen_and_its_garbage_is_not_measured() -> N
     assert trials.fell.tolist()[0]
     assert trials.seconds[0] == pytest.approx(0.22)
     assert trials.metrics.distance[0] < 0.3
-    assert np.isfinite(trials.metrics.work[0])
+    assert np.isfinite(trials.metrics.values["work"][0])
     assert 0.3 < trials.max_place[0] < 0.8
 
 

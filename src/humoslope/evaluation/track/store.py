@@ -16,9 +16,10 @@ import torch
 from numpy.typing import NDArray
 
 from humoslope.env import EnvCfg
-from humoslope.evaluation.track.arrays import chosen, each, from_arrays, to_arrays
-from humoslope.evaluation.track.metrics import TrackTrials
+from humoslope.evaluation.track.arrays import from_arrays, map_arrays, to_arrays, where_arrays
+from humoslope.evaluation.track.metrics import METRICS_VERSION, RECORDED
 from humoslope.evaluation.track.protocol import HeldOutProtocol
+from humoslope.evaluation.track.recorder import TrackTrials
 from humoslope.evaluation.track.trials import HeldOutTrials, Relay
 from humoslope.files import write_atomically
 from humoslope.provenance import plain
@@ -58,7 +59,9 @@ def fingerprint(cfg: EnvCfg, relay: Relay, sha256: str) -> str:
         "segments": plain(relay.course.segments),
         "environment": {name: plain(value) for name, value in vars(cfg).items() if name != "scene"},
         "robot": described,
-        "machine": [torch.cuda.is_available(), torch.get_num_threads(), torch.__version__, mujoco.__version__],
+        # Not how many threads there are: trials run on one.
+        "machine": [torch.cuda.is_available(), torch.__version__, mujoco.__version__],
+        "metrics": [METRICS_VERSION, *(metric.name for metric in RECORDED)],
         "checkpoint": sha256,
     }
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
@@ -72,8 +75,8 @@ def save(path: Path, walked: Walked, mark: str, protocol: HeldOutProtocol) -> No
     trials, before = walked.trials, _read(path, mark)
     if before is not None and len(before.trials) > len(trials):
         larger = replace(protocol, trials=len(before.trials) // protocol.num_cells)
-        padded = each(partial(_resize, protocol=larger), trials)
-        trials = each(partial(chosen, padded.finished), padded, before.trials)
+        padded = map_arrays(partial(_resize, protocol=larger), trials)
+        trials = map_arrays(partial(where_arrays, padded.finished), padded, before.trials)
     about = {"fingerprint": mark, "wall_clock_s": walked.wall_clock_s, "code": walked.code}
     arrays: dict[str, Any] = {name: np.array(value) for name, value in about.items()} | to_arrays(trials)
     write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
@@ -85,7 +88,9 @@ def load(path: Path, mark: str, protocol: HeldOutProtocol) -> Walked | None:
     None if there is no such file, or it belongs to something else.
     """
     found = _read(path, mark)
-    return None if found is None else found._replace(trials=each(partial(_resize, protocol=protocol), found.trials))
+    if found is None:
+        return None
+    return found._replace(trials=map_arrays(partial(_resize, protocol=protocol), found.trials))
 
 
 def _read(path: Path, mark: str) -> Walked | None:
@@ -95,7 +100,7 @@ def _read(path: Path, mark: str) -> Walked | None:
         if str(arrays.pop("fingerprint")) != mark:
             return None
         wall_clock_s, code = float(arrays.pop("wall_clock_s")), tuple(arrays.pop("code").tolist())
-        return Walked(from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials}), wall_clock_s, code)
+        return Walked(from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials, "values": dict}), wall_clock_s, code)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 

@@ -24,20 +24,18 @@ from torch import Tensor
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.evaluation.common import measuring_physics
 from humoslope.evaluation.track import random
-from humoslope.evaluation.track.arrays import chosen, each
-from humoslope.evaluation.track.metrics import StepSample, TrackRecorder, TrackTrials
+from humoslope.evaluation.track.arrays import map_arrays, where_arrays
 from humoslope.evaluation.track.protocol import HeldOutProtocol
+from humoslope.evaluation.track.recorder import StepSample, TrackRecorder, TrackTrials
 from humoslope.evaluation.track.referee import OUTCOMES, Referee, Situation
 from humoslope.managers import EventTermCfg, RewardTermCfg, TerminationTermCfg, Terms, VelocityCommandCfg
 from humoslope.mdp import events, rewards
 from humoslope.slope import quaternion
-from humoslope.statistics import Array
+from humoslope.statistics import Array, Bools
 from humoslope.terrain.course import Course
 
 LIFT = 0.01
 """Height of the soles over the ground at the start, m; as in training."""
-
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class HeldOutTrials:
         return len(self.success)
 
     def __getitem__(self, which: slice | np.ndarray) -> HeldOutTrials:
-        return each(lambda values: values[which], self)
+        return map_arrays(lambda values: values[which], self)
 
     @property
     def finished(self) -> Bools:
@@ -116,7 +114,6 @@ class Relay:
             env.step_dt,
             robot=env.robot,
             length=self.course.length,
-            commanded=protocol.speed,
             device=device,
         )
 
@@ -146,7 +143,7 @@ class Relay:
         """Termination: records the instant, and says which trials end with it, bool [W]."""
         signals = env.signals
         place = signals.root_pos_w[:, 0] - env.tiles.origin_w[:, 0]
-        sample = StepSample.read(env, place, self.course.segment_at(place))
+        sample = StepSample.read(env, self._recorder.legs, place, self.course.segment_at(place))
         seconds = env.episode_length_buf * env.step_dt
         verdict = self._referee.judge(
             Situation(
@@ -185,7 +182,7 @@ class Relay:
         if self.earlier is None:
             return walked
         before = self.earlier.finished
-        return each(partial(chosen, before), self.earlier, walked)
+        return map_arrays(partial(where_arrays, before), self.earlier, walked)
 
     def progress(self) -> float:
         """Share of all trials that is done, in [0, 1]; a trial on its way counts by its place. Waits for the device."""
