@@ -17,7 +17,7 @@ from humoslope.deploy.contract import Contract, Steering
 from humoslope.deploy.player import Course, Player, outcome, steer, walks
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, summarise, walk
+from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, run_trials, summarise
 from humoslope.learning.policy import Actor, load_actor
 from humoslope.registry import build_task
 
@@ -88,7 +88,7 @@ def test_success_and_speed_on_flat_ground_are_those_of_the_ramp_check(
     flat: Any, make_player: Callable[..., Player]
 ) -> None:
     env, actor, protocol = flat(4.0)
-    (checked,) = summarise(walk(env, actor, protocol), protocol)
+    (checked,) = summarise(run_trials(env, actor, protocol), protocol)
     played = outcome(list(walks(make_player(seconds=4.0, trials=WORLDS))))
     assert played.falls.low <= checked.falls.share <= played.falls.high
     assert played.speed == pytest.approx(checked.speed, abs=0.02)

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from humoslope.cli.measure import describe, introduce, trained, walking, warn
 from humoslope.env import ManagerBasedRlEnv
-from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, summarise, table, walk
+from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, run_trials, summarise, table
 from humoslope.files import check_place, write_text
 from humoslope.learning.policy import load_actor
 from humoslope.provenance import plain
@@ -22,6 +22,8 @@ from humoslope.provenance import plain
 @dataclasses.dataclass(frozen=True)
 class Options:
     """Lets a trained policy walk on flat ground and on ramps, without noise, pushes or harness, and counts its falls.
+
+    With --speed 0 it is commanded to stand there, and its creep and its steps are measured.
 
     Attributes:
         checkpoint: A checkpoint, or a run folder for its newest one.
@@ -47,7 +49,7 @@ def run(arguments: list[str]) -> None:
     introduce(console, env, provenance, protocol)
     started = time.monotonic()
     with walking(console, env, protocol.seconds) as on_step:
-        results = summarise(walk(env, actor, protocol, on_step), protocol)
+        results = summarise(run_trials(env, actor, protocol, on_step), protocol)
     took = time.monotonic() - started
 
     console.print(table(results))

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
 from humoslope.evaluation.track.arrays import to_arrays
-from humoslope.evaluation.track.metrics import BIN, SETTLE_S
+from humoslope.evaluation.track.metrics import BIN, METRICS_VERSION, SETTLE_S
 from humoslope.evaluation.track.recorder import LegJoints, StepSample, TrackTrials
 from robots.unitree_g1 import UNITREE_G1
 from tests.evaluation.scripted import DT, SEGMENTS, TRACK, join, recorder, sample, walk
@@ -279,3 +279,40 @@ def test_a_robot_without_the_joints_of_a_group_is_a_mistake() -> None:
     )
     with pytest.raises(UserError, match=r"joint pattern '\.\*knee\.\*' matches nothing"):
         LegJoints(kneeless, torch.device("cpu"))
+
+
+PINNED = {
+    1: {
+        "samples": 150.0,
+        "distance": 1.194,
+        "work": 132.3565,
+        "positive_work": 90.3675,
+        "speed": 0.3,
+        "squared_error": 6.0,
+        "yaw_rate_variance": 0.040625,
+        "com_height": 0.66,
+        "root_height": 0.74,
+        "knee_peak": 41.0,
+    }
+}
+"""Record of the walk below under each version of the definitions."""
+
+
+def test_another_meaning_of_a_recorded_metric_needs_another_version() -> None:
+    """If this fails, either the change is a mistake, or METRICS_VERSION must be raised and its record added here."""
+
+    def show(step: int) -> dict[str, object]:
+        return {
+            "yaw_rate": 0.2 * (-1) ** step + 0.05 * (step % 4 < 2),
+            "com_height": 0.66,
+            "root_height": 0.74,
+            "left_knee_joint_torque": -20.0,
+            "left_knee_joint_vel": 0.5275,
+            "right_knee_joint_torque": 41.0 if step == 7 else 22.613,
+            "right_knee_joint_vel": 1.0,
+        }
+
+    trials = walk(200, show, speed=0.3)
+    found = {"samples": trials.samples[0], "distance": trials.distance[0]}
+    found |= {name: float(value[0]) for name, value in trials.values.items()}
+    assert found == pytest.approx(PINNED[METRICS_VERSION], rel=1e-3, abs=1e-6)

@@ -8,6 +8,8 @@ import math
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from humoslope.errors import UserError
 from humoslope.evaluation.track.metrics import BIN, SETTLE_S, cost_of_transport, knee_quantile
@@ -113,6 +115,14 @@ def test_ninety_nine_of_a_hundred_instants_stay_below_the_quantile() -> None:
         expected = np.quantile(torque, share, method="inverted_cdf")
         assert knee_quantile(trials, share) == pytest.approx(expected, abs=0.5)
     assert knee_quantile(trials[:0], 0.99) is None
+
+
+@given(torque=st.floats(0.0, 138.0), share=st.floats(0.01, 0.99))
+def test_the_quantile_of_a_constant_torque_is_the_middle_of_its_bin(torque: float, share: float) -> None:
+    trials = steady(1)
+    histogram = np.zeros_like(trials.knee_histogram)
+    histogram[0, math.floor(torque)] = 402
+    assert knee_quantile(as_if(trials, knee_histogram=histogram), share) == math.floor(torque) + 0.5
 
 
 def test_nothing_was_measured_of_trials_that_ended_before_they_settled() -> None:

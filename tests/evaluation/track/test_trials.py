@@ -15,10 +15,13 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
+from humoslope.errors import UserError
 from humoslope.evaluation.track import store
 from humoslope.evaluation.track.arrays import to_arrays
 from humoslope.evaluation.track.protocol import HeldOutProtocol
 from humoslope.evaluation.track.trials import HeldOutTrials, TrialScheduler, held_out_env_cfg, run_trials
+from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms
+from humoslope.mdp.observations import joint_pos_rel
 from humoslope.presets import apply_preset
 from humoslope.registry import build_task
 
@@ -88,7 +91,7 @@ def test_nothing_of_the_task_is_left_but_robot_actions_and_what_the_actor_sees()
         {"set_up", "start"},
         {"actor"},
     ]
-    assert len(cfg.curriculum) == 0
+    assert len(cfg.curriculum) == len(cfg.rewards) == 0
     assert (cfg.sim.timestep, cfg.sim.decimation, cfg.sim.cone) == (0.005, 4, "elliptic")
     assert (task.sim.timestep, task.sim.decimation) == (0.01, 2)
     assert cfg.observations.actor.enable_corruption
@@ -114,6 +117,34 @@ def test_starts_are_spread_as_stated(full: tuple[ManagerBasedRlEnv, TrialSchedul
         assert (values - middle).min() < -0.9 * spread
     assert y.abs().max() < 1e-5
     assert len(x.unique()) == 120
+    # Of 120 independent pairs one in ten thousand correlates as much as this.
+    drawn = torch.corrcoef(torch.stack([x, yaw, *joints.T[:4]]))
+    assert (drawn - torch.eye(6)).abs().max() < 0.4
+    lowest = env.robot.default_root_height + env.terrain.height(starts[0][:, :2].float())
+    np.testing.assert_allclose(starts[0][:, 2] - lowest, 0.01, atol=1e-5)  # LIFT
+
+
+def with_map(task: EnvCfg) -> EnvCfg:
+    """The task with a second group that a policy might read."""
+    joints = ObservationTermCfg(joint_pos_rel, noise=0.01)
+    task.observations.actor_map = ObservationGroupCfg(Terms(joints=joints), enable_corruption=True)
+    return task
+
+
+def test_every_group_that_the_policy_reads_is_kept_and_has_noise_of_its_own() -> None:
+    def frames(groups: tuple[str, ...]) -> TensorDict:
+        scheduler = TrialScheduler(TINY, TINY.find_course(), 1)
+        cfg = held_out_env_cfg(with_map(stage1_env()), scheduler, groups)
+        assert list(dict(cfg.observations.items())) == list(groups)
+        return ManagerBasedRlEnv(cfg).get_observations()
+
+    alone, both, other = frames(("actor",)), frames(("actor", "actor_map")), frames(("actor_map",))
+    assert torch.equal(alone["actor"], both["actor"])
+    # The same noise would give the same observations whatever the place of the group.
+    assert not torch.equal(both["actor_map"], other["actor_map"])
+    assert (both["actor_map"] - other["actor_map"]).abs().max() < 0.021
+    with pytest.raises(UserError, match="observation group 'actor_mop' does not exist; did you mean 'actor_map'"):
+        frames(("actor", "actor_mop"))
 
 
 # Sanity of the protocol
@@ -331,3 +362,50 @@ def test_the_fingerprint_knows_protocol_checkpoint_and_parallel_but_not_how_many
         mark(sha256="b"),
     ]
     assert len({mark(), *changed}) == 5
+
+
+def test_the_fingerprint_knows_the_definitions_of_the_metrics_but_not_the_threads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def mark() -> str:
+        scheduler = TrialScheduler(TINY, TINY.find_course(), 2)
+        return store.trial_fingerprint(held_out_env_cfg(stage1_env(), scheduler), scheduler, "a")
+
+    first, threads = mark(), torch.get_num_threads()
+    torch.set_num_threads(threads + 1)
+    try:
+        assert mark() == first
+    finally:
+        torch.set_num_threads(threads)
+    monkeypatch.setattr(store, "METRICS_VERSION", store.METRICS_VERSION + 1)
+    assert mark() != first
+    monkeypatch.undo()
+    monkeypatch.setattr(store, "RECORDED", store.RECORDED[1:])
+    assert mark() != first
+
+
+def test_trials_run_on_one_thread_so_that_their_number_does_not_matter() -> None:
+    seen = []
+
+    def policy(obs: TensorDict) -> Tensor:
+        seen.append(torch.get_num_threads())
+        return standing(obs)
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        env, scheduler = build(dataclasses.replace(TINY, trials=1, timeout_s=0.1))
+        run_trials(env, policy, scheduler)
+        assert set(seen) == {1}
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(threads)
+
+
+def test_nothing_is_recorded_outside_of_a_run() -> None:
+    env, scheduler = build(dataclasses.replace(TINY, trials=1, timeout_s=0.5))
+    env.step(env.zeros(29))
+    assert not scheduler.trials().finished.any()
+    assert np.isnan(scheduler.trials().metrics.distance).all()
+    run_trials(env, standing, scheduler)
+    assert env.observers == []

@@ -101,9 +101,8 @@ def _read(path: Path, fingerprint: str) -> SavedTrials | None:
         if str(arrays.pop("fingerprint")) != fingerprint:
             return None
         wall_clock_s, code = float(arrays.pop("wall_clock_s")), tuple(arrays.pop("code").tolist())
-        return SavedTrials(
-            from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials, "values": dict}), wall_clock_s, code
-        )
+        trials = from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials, "values": dict})
+        return SavedTrials(trials, wall_clock_s, code)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 
