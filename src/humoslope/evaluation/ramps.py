@@ -1,8 +1,8 @@
 """The ramp check: speed and falls of a policy that walks up and down planar ramps, or stands on them.
 
-It is the same for every task: a flat approach, then one planar ramp; fixed friction; small random starts; elliptic cone at
-a fine physics step; no observation noise, pushes, harness, curriculum or other randomisation. At a commanded speed of
-zero the robot starts on the slope, is commanded to stand, and its creep and its steps are measured.
+It is the same for every task: a flat approach, then one planar ramp; fixed friction; small random starts; elliptic cone
+at a fine physics step; no observation noise, pushes, harness, curriculum or other randomisation. With a commanded speed
+of zero the robot starts on the slope, is commanded to stand, and its creep and its steps are measured.
 """
 
 from __future__ import annotations
