@@ -1,4 +1,4 @@
-"""Numbers that say how sure a measurement is."""
+"""Proportions and means of independent trials, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from scipy.stats import binomtest, t
 from humoslope.errors import UserError
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Proportion:
-    """How often something happened in independent trials.
+    """Number of independent trials in which an event happened.
 
     Attributes:
         count: Trials in which it happened.
-        total: Trials there were.
-        low, high: Interval for the true share, by Wilson's score.
+        total: All trials.
+        low, high: Wilson's score interval for the true share.
     """
 
     count: int
@@ -36,12 +37,12 @@ class Proportion:
 
 
 def proportion(count: int, total: int, confidence: float = 0.95) -> Proportion:
-    """The share of `count` in `total` trials with Wilson's score interval (Wilson 1927).
+    """Share of `count` in `total` trials with Wilson's score interval (Wilson 1927).
 
-    Unlike the interval of the normal approximation it keeps a width when nothing or everything happened.
+    Unlike the interval of the normal approximation it keeps a width when the count is 0 or all.
 
     Args:
-        confidence: Share of such intervals that hold the true share.
+        confidence: Share of such intervals that contain the true share.
 
     Raises:
         UserError: If there were no trials, or fewer than `count`.
@@ -54,13 +55,13 @@ def proportion(count: int, total: int, confidence: float = 0.95) -> Proportion:
 
 @dataclass(frozen=True)
 class Average:
-    """The mean of something measured in independent trials.
+    """Mean of a quantity over independent trials.
 
     Attributes:
-        mean: Over the trials.
-        trials: In which it was measured.
-        std: Standard deviation between trials, by n - 1; None of a single trial.
-        low, high: Interval for the true mean, by Student's t; None of a single trial.
+        mean: Mean over the trials.
+        trials: Number of trials in which it was measured.
+        std: Standard deviation between trials, with n - 1; None for a single trial.
+        low, high: Student's t interval for the true mean; None for a single trial.
     """
 
     mean: float
@@ -71,24 +72,30 @@ class Average:
 
 
 def average(values: Array, confidence: float = 0.95) -> Average | None:
-    """The mean of the values that are there, with Student's interval; None if all are NaN ("nothing was measured").
+    """Mean of the values that are not NaN, with Student's interval; None if all are NaN ("nothing was measured").
 
     Args:
-        values: One for each trial.
-        confidence: Share of such intervals that hold the true mean, if trials scatter normally or are many.
+        values: One value for each trial.
+        confidence: Share of such intervals that contain the true mean, if trials are normally distributed or many.
     """
-    there = values[~np.isnan(values)]
-    if there.size == 0:
+    measured = values[~np.isnan(values)]
+    if measured.size == 0:
         return None
-    middle = float(there.mean())
-    if there.size == 1:
+    middle = float(measured.mean())
+    if measured.size == 1:
         return Average(middle, 1, None, None, None)
-    std = float(there.std(ddof=1))
-    half = float(t.ppf(0.5 + 0.5 * confidence, there.size - 1)) * std / math.sqrt(there.size)
-    return Average(middle, there.size, std, middle - half, middle + half)
+    std = float(measured.std(ddof=1))
+    half = float(t.ppf(0.5 + 0.5 * confidence, measured.size - 1)) * std / math.sqrt(measured.size)
+    return Average(middle, measured.size, std, middle - half, middle + half)
 
 
 def mean(values: Array) -> float | None:
-    """The mean of the values that are there; None if all are NaN, which stands for "nothing was measured"."""
-    there = values[~np.isnan(values)]
-    return float(there.mean()) if there.size else None
+    """Mean of the values that are not NaN; None if all are NaN ("nothing was measured")."""
+    measured = values[~np.isnan(values)]
+    return float(measured.mean()) if measured.size else None
+
+
+def largest(values: Array) -> float | None:
+    """Largest of the values that are not NaN; None if all are NaN ("nothing was measured")."""
+    measured = values[~np.isnan(values)]
+    return float(measured.max()) if measured.size else None

@@ -16,7 +16,7 @@ from humoslope.cli import main
 from humoslope.evaluation.track.progress import Progress
 from humoslope.learning import checkpoint
 
-TINY = ("--grades", "0", "30", "--tiers", "0.6", "--trials", "2", "--lanes", "1", "--timeout-s", "1.2")
+TINY = ("--grades", "0", "30", "--tiers", "0.6", "--trials", "2", "--parallel-trials", "1", "--timeout-s", "1.2")
 
 
 def told(out: Path) -> dict[str, Any]:
@@ -68,15 +68,15 @@ def test_what_was_walked_is_not_walked_again_unless_asked_for(
     evaluate: Callable[..., tuple[dict[str, Any], str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, printed = evaluate()
-    assert "goes on" not in printed
+    assert "continues with" not in printed
     monkeypatch.setattr("humoslope.evaluation.track.run.git_state", lambda: "commit of tomorrow\n")
     more, printed = evaluate("--trials", "3")
     monkeypatch.undo()
-    assert "goes on with 4 trials" in printed
+    assert "continues with 4 trials" in printed
     assert more["finished"] == 6
     assert more["code"] == f"{first['code']}, commit of tomorrow"
     anew, printed = evaluate("--fresh")
-    assert "goes on" not in printed
+    assert "continues with" not in printed
     assert figures(anew) == figures(first)
     monkeypatch.setattr(Progress, "step", lambda self, worlds: pytest.fail("walked again"))
     again, printed = evaluate()
@@ -84,7 +84,7 @@ def test_what_was_walked_is_not_walked_again_unless_asked_for(
     assert again["wall_clock_s"] >= anew["wall_clock_s"] > 0.0  # what was walked before has taken its time
     monkeypatch.undo()
     _, printed = evaluate("--seed", "1")
-    assert "goes on" not in printed
+    assert "continues with" not in printed
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -109,7 +109,7 @@ def test_an_interrupted_evaluation_says_that_it_is_partial_and_goes_on_to_the_sa
     assert 0 < part["finished"] < 4
     assert f"Partial: {part['finished']} of 4 trials" in printed
     rest, printed = evaluate()
-    assert f"goes on with {part['finished']} trials" in printed
+    assert f"continues with {part['finished']} trials" in printed
     assert figures(rest) == figures(whole)
 
 
@@ -135,7 +135,7 @@ def test_checkpoints_of_one_method_are_pooled(path: Path, capsys: pytest.Capture
 
 
 def test_a_sweep_says_how_steep_a_track_is_mastered(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    grades = ("--grades", "12", "13", "--trials", "1", "--lanes", "1", "--timeout-s", "0.5")
+    grades = ("--grades", "12", "13", "--trials", "1", "--parallel-trials", "1", "--timeout-s", "0.5")
     assert main(["evaluate", str(path), "--sweep", *grades]) == 0
     report = told(path.with_name("model_0.sweep"))
     assert report["what"] == "sweep"
@@ -154,7 +154,7 @@ def test_a_sweep_says_how_steep_a_track_is_mastered(path: Path, capsys: pytest.C
     ("options", "said"),
     [
         (("--grades", "41"), "grade 41 must be between 0 and 40"),
-        (("--lanes", "0"), "lanes is 0"),
+        (("--parallel-trials", "0"), "parallel_trials is 0"),
         (("--trials", "0"), "trials is 0"),
         (("--timestep", "0.003"), "does not divide"),
         (("--course", "held-out-trak"), "did you mean 'held-out-track'"),

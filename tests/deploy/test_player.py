@@ -21,7 +21,8 @@ from humoslope.deploy.player import Player, Summary, TouchdownCounter, Trial, Tr
 from humoslope.deploy.world import RUN_UP
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, walk
+from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
+from humoslope.evaluation.ramps import run_trials as run_ramps
 from humoslope.evaluation.ramps import summarise as summarise_ramps
 from humoslope.learning.policy import Actor, load_actor
 from humoslope.registry import build_task
@@ -93,7 +94,7 @@ def test_success_and_speed_on_flat_ground_are_those_of_the_ramp_check(
     flat: Any, make_player: Callable[..., Player]
 ) -> None:
     env, actor, protocol = flat(4.0)
-    (checked,) = summarise_ramps(walk(env, actor, protocol), protocol)
+    (checked,) = summarise_ramps(run_ramps(env, actor, protocol), protocol)
     played = summarise(list(run_trials(make_player(seconds=4.0, trials=WORLDS))))
     assert played.falls.low <= checked.falls.share <= played.falls.high
     assert played.speed == pytest.approx(checked.speed, abs=0.02)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from humoslope.evaluation.report.results import tell
-from humoslope.evaluation.track.metrics import BIN, GROUPS, PROFILE, TrackTrials
+from humoslope.evaluation.report.results import to_report
+from humoslope.evaluation.track.metrics import BIN, GROUPS, PROFILE, RECORDED
+from humoslope.evaluation.track.recorder import TrackTrials
 from humoslope.terrain.course import Segment
 
 GRADES, TIERS, TRIALS = (0.0, 10.0, 20.0, 30.0), (0.3, 0.6, 0.9), 8
@@ -60,17 +61,21 @@ def outcomes(skill: float, seed: int = 0, trials: int = TRIALS) -> SimpleNamespa
     of_groups = by_segment[:, :, None] * np.array([20.0, 30.0, 15.0])
     assert of_groups.shape[2] == len(GROUPS)
     peaks = 70.0 + 15.0 * grade + rng.normal(scale=4.0, size=count)
+    # Metrics that these tests know nothing of have some numbers as well.
+    values = {metric.name: rng.uniform(size=count) for metric in RECORDED} | {
+        "work": 80.0 * (2.0 - skill) * place,
+        "positive_work": 50.0 * (2.0 - skill) * place,
+        "speed": 0.4 + 0.1 * skill + rng.normal(scale=0.01, size=count),
+        "squared_error": 0.01 * walked.sum(axis=1),
+        "yaw_rate_variance": 0.05 + 0.01 * rng.uniform(size=count),
+        "com_height": 0.6 + 0.08 * skill - 0.01 * grade + rng.normal(scale=0.004, size=count),
+        "root_height": 0.7 + rng.normal(scale=0.004, size=count),
+        "knee_peak": peaks,
+    }
     metrics = TrackTrials(
+        values=values,
         samples=walked.sum(axis=1),
         distance=place - 0.5,
-        work=80.0 * (2.0 - skill) * place,
-        positive_work=50.0 * (2.0 - skill) * place,
-        speed=0.4 + 0.1 * skill + rng.normal(scale=0.01, size=count),
-        squared_error=0.01 * walked.sum(axis=1),
-        yaw_rate_variance=0.05 + 0.01 * rng.uniform(size=count),
-        com_height=0.6 + 0.08 * skill - 0.01 * grade + rng.normal(scale=0.004, size=count),
-        root_height=0.7 + rng.normal(scale=0.004, size=count),
-        knee_peak=peaks,
         knee_histogram=np.tile(np.arange(140, 0, -1, dtype=np.int32), (count, 1)),
         segment_samples=by_segment,
         segment_pitch=by_segment * (0.1 + 0.2 * slope),
@@ -98,11 +103,11 @@ def report(skill: float = 0.5, task: str = TASK, **changes: Any) -> dict[str, An
     """What `humoslope evaluate` leaves of it."""
     walked = outcomes(skill)
     checkpoint = {"task": task, "total_steps": 40_000_000, "harness": 0.0, "iteration": 7, "ancestor": None}
-    told = tell(walked, grades=GRADES, tiers=TIERS, segments=SEGMENTS, speed=0.5, mass=33.0)
+    told = to_report(walked, grades=GRADES, tiers=TIERS, segments=SEGMENTS, speed=0.5, mass=33.0)
     return {
         "what": "held-out",
         "checkpoints": [checkpoint],
-        "protocol": {"success_place": GOAL},
+        "protocol": {"success_place": GOAL, "start_place": 0.5, "speed": 0.5},
         "trials": len(walked.success),
         "finished": len(walked.success),
         **told,

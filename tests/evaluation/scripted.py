@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from humoslope.evaluation.track.metrics import StepSample, TrackRecorder, TrackTrials
+from humoslope.evaluation.track.arrays import map_arrays
+from humoslope.evaluation.track.recorder import LegJoints, StepSample, TrackRecorder, TrackTrials
 from robots.unitree_g1 import UNITREE_G1
 
 DT = 0.02
@@ -37,15 +38,17 @@ def sample(worlds: int, place: float | Tensor = 0.0, **values: float | Tensor) -
     return StepSample(
         place=place,
         segment=torch.bucketize(place, torch.tensor(SEGMENTS), right=True),
+        commanded=torch.full((worlds,), 0.5),
         **plain,
         joint_pos=joints["pos"],
         joint_vel=joints["vel"],
         joint_torque=joints["torque"],
+        legs=LegJoints(UNITREE_G1, torch.device("cpu")),
     )
 
 
 def recorder(trials: int, dt: float = DT, **changes: object) -> TrackRecorder:
-    settings = {"robot": UNITREE_G1, "length": TRACK, "commanded": 0.5, "device": torch.device("cpu")}
+    settings = {"robot": UNITREE_G1, "length": TRACK, "device": torch.device("cpu")}
     return TrackRecorder(trials, len(SEGMENTS) + 1, dt, **settings | changes)
 
 
@@ -69,5 +72,12 @@ def outcomes(trials: TrackTrials, **arrays: object) -> SimpleNamespace:
 
 
 def as_if(trials: TrackTrials, **arrays: object) -> TrackTrials:
-    """The trials with some of their arrays replaced."""
-    return replace(trials, **{name: np.array(value) for name, value in arrays.items()})
+    """The trials with some of their arrays or recorded values replaced."""
+    given = {name: np.array(value) for name, value in arrays.items()}
+    values = {name: given.pop(name, value) for name, value in trials.values.items()}
+    return replace(trials, values=values, **given)
+
+
+def join(parts: Sequence[TrackTrials]) -> TrackTrials:
+    """All trials of the parts, in their order."""
+    return map_arrays(lambda *arrays: np.concatenate(arrays), *parts)

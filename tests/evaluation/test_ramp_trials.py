@@ -17,20 +17,25 @@ NEVER = 10_000
 
 def play(
     speed: Tensor,
-    height: float = 0.75,
     falls: list[int] | None = None,
     leaves: list[int] | None = None,
     settle: int = 0,
+    across: Tensor | None = None,
+    contact: Tensor | None = None,
 ) -> Trials:
-    """Worlds that start at x = 0.75 m and move with `speed` [T, N] m/s; they fall or leave in the given steps."""
+    """Envs that start at x = 0.75 m and move with `speed` [T, N] m/s forward and `across` [T, N] m/s to the left; they
+    fall or leave in the given steps. `contact` [T, 2] of the feet; by default both stand."""
     count = speed.shape[1]
     fall_step = torch.tensor(falls or [NEVER] * count)
     leave_step = torch.tensor(leaves or [NEVER] * count)
-    place = torch.full((count,), 0.75)
+    velocity = torch.stack([speed, torch.zeros_like(speed) if across is None else across], dim=2)  # [T, N, 2]
+    feet = torch.ones(len(speed), 2, dtype=torch.bool) if contact is None else contact
+    place = torch.tensor([[0.75, 0.0]]).repeat(count, 1)
     recorder = Recorder(place, 0.5, settle, DT)
-    for step, now in enumerate(speed, start=1):
+    height = torch.full((count,), 0.75)
+    for step, now in enumerate(velocity, start=1):
         place = place + now * DT
-        recorder.add(place, now, torch.full((count,), 0.75), fall_step == step, leave_step == step)
+        recorder.add(place, now, height, feet[step - 1].expand(count, 2), fall_step == step, leave_step == step)
     return recorder.trials()
 
 
@@ -108,3 +113,42 @@ def test_a_nan_of_a_diverged_world_stays_out_of_the_averages() -> None:
     trials = play(speed, falls=[6, NEVER])
     assert trials.speed == pytest.approx([0.5, 0.5])
     assert trials.rms_speed_error == pytest.approx(0.0)
+
+
+# A robot that is commanded to stand
+
+
+def test_creep_is_the_mean_speed_either_way_and_drift_the_way_that_is_left_of_it() -> None:
+    sway = 0.1 * torch.tensor([1.0, -1.0]).repeat(50)[:, None]
+    trials = play(sway, across=torch.full((100, 1), -0.02))
+    assert trials.creep[0] == pytest.approx([0.1, 0.02])
+    assert trials.drift[0] == pytest.approx([0.0, -0.04], abs=1e-6)
+    assert trials.speed == pytest.approx([0.0], abs=1e-8)
+
+
+def test_creep_and_drift_begin_when_the_robot_has_settled() -> None:
+    speed = torch.cat([torch.full((40, 1), 0.5), torch.full((60, 1), 0.1)])
+    trials = play(speed, settle=40, across=torch.zeros_like(speed))
+    assert trials.creep[0] == pytest.approx([0.1, 0.0])
+    assert trials.drift[0] == pytest.approx([0.12, 0.0], rel=1e-4)
+
+
+def test_a_robot_that_fell_before_it_settled_has_neither_creep_nor_drift_nor_steps() -> None:
+    trials = play(torch.full((50, 1), 0.5), falls=[10], settle=20)
+    assert np.isnan([*trials.creep[0], *trials.drift[0], *trials.touchdowns]).all()
+
+
+@given(air=st.integers(1, 20), landings=st.integers(0, 4), settle=st.integers(0, 1))
+def test_a_step_is_a_landing_after_a_tenth_of_a_second_in_the_air(air: int, landings: int, settle: int) -> None:
+    stand, lift = [[True, True]] * 2, [[True, False]] * air
+    feet = [*stand, *(lift + stand) * landings, *lift]  # ends in the air
+    trials = play(torch.zeros(len(feet), 1), contact=torch.tensor(feet), settle=settle)
+    steps = landings if air * DT >= 0.1 - 1e-9 else 0
+    assert trials.touchdowns == pytest.approx([steps / ((len(feet) - settle) * DT)])
+
+
+def test_landings_before_settling_do_not_count() -> None:
+    feet = torch.ones(100, 2, dtype=torch.bool)
+    feet[10:20, 0] = feet[60:70, 1] = False
+    trials = play(torch.zeros(100, 1), contact=feet, settle=50)
+    assert trials.touchdowns == pytest.approx([1.0])

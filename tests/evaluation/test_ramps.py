@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import MethodType
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,9 @@ from humoslope.evaluation.ramps import (
     RampProtocol,
     along_course,
     ramp_env_cfg,
+    run_trials,
     summarise,
     table,
-    walk,
 )
 from humoslope.presets import apply_preset
 from humoslope.provenance import plain
@@ -57,6 +58,9 @@ def standing(count: int, **changes: Any) -> Trials:
         "speed": np.full(count, 0.35),
         "squared_error": np.full(count, 900.0 * 0.15**2),
         "height": np.full(count, 0.77),
+        "creep": np.tile([0.35, 0.05], (count, 1)),
+        "drift": np.tile([6.3, 0.4], (count, 1)),
+        "touchdowns": np.full(count, 2.5),
     }
     return Trials(**{**full, **changes})
 
@@ -65,7 +69,7 @@ def test_training_aids_and_disturbances_are_gone_and_the_task_is_left_as_it_was(
     task = stage1_env()
     cfg = ramp_env_cfg(task, SMALL)
     assert list(dict(cfg.events.items())) == ["friction", "root", "joints"]
-    assert len(cfg.curriculum) == 0
+    assert len(cfg.curriculum) == len(cfg.rewards) == 0
     assert list(dict(cfg.observations.items())) == ["actor"]
     assert not cfg.observations.actor.enable_corruption
     assert task.observations.actor.enable_corruption
@@ -104,7 +108,7 @@ def test_feet_have_the_friction_that_is_reported(env: ManagerBasedRlEnv) -> None
 
 def test_a_robot_that_only_holds_its_pose_falls_and_is_counted_once(env: ManagerBasedRlEnv) -> None:
     steps: list[None] = []
-    trials = walk(env, lambda _: env.zeros(env.robot.num_joints), SMALL, lambda: steps.append(None))
+    trials = run_trials(env, lambda _: env.zeros(env.robot.num_joints), SMALL, lambda: steps.append(None))
     assert len(steps) == 150
     results = summarise(trials, SMALL)
     assert [r.grade for r in results] == list(SMALL.grades)
@@ -164,7 +168,7 @@ def test_the_table_runs_from_the_steepest_way_down_to_the_steepest_way_up() -> N
         ({"grades": (0.0, 90.0)}, "grade 90 must be between -60 and 60 degrees"),
         ({"grades": (float("nan"),)}, "grade nan"),
         ({"starts": 0}, "starts is 0"),
-        ({"speed": 0.0}, "speed is 0; it must be positive"),
+        ({"speed": -0.1}, "speed is -0.1; it must be 0 or more"),
         ({"seconds": -1.0}, "seconds is -1"),
         ({"seconds": float("inf")}, "seconds is inf"),
         ({"seconds": 1e6}, "at most 200 m"),
@@ -188,3 +192,109 @@ def test_a_fall_is_the_same_for_every_task_and_for_stage_1_what_its_training_too
     other = ramp_env_cfg(build_task("URL-Literal-Unitree-G1").env, SMALL)
     ours = ramp_env_cfg(stage1_env(), SMALL)
     assert plain(other.terminations) == plain(ours.terminations) == plain(stage1_env().terminations)
+
+
+def test_every_group_that_the_policy_reads_is_kept_without_noise() -> None:
+    task = stage1_env()
+    cfg = ramp_env_cfg(task, SMALL, ("actor", "critic"))
+    assert list(dict(cfg.observations.items())) == ["actor", "critic"]
+    assert not any(group.enable_corruption for _, group in cfg.observations.items())
+    with pytest.raises(UserError, match="observation group 'acter' does not exist; did you mean 'actor'"):
+        ramp_env_cfg(task, SMALL, ("acter",))
+
+
+# A robot that is commanded to stand
+
+STAND = RampProtocol(grades=(0.0, 15.0, -15.0), starts=2, seconds=3.0, speed=0.0)
+
+
+@pytest.fixture(scope="module")
+def standing_env() -> ManagerBasedRlEnv:
+    cfg = ramp_env_cfg(stage1_env(), STAND)
+    cfg.sim.backend = "native"
+    return ManagerBasedRlEnv(cfg)
+
+
+def test_at_speed_zero_the_command_is_to_stand_and_the_robot_starts_on_the_slope(
+    standing_env: ManagerBasedRlEnv,
+) -> None:
+    env = standing_env
+    assert not env.commands.moving.any()
+    env.sim.state("qpos")[:, 1] += 0.5  # off the centre line: a robot that steers would turn
+    env.signals.refresh()
+    env.commands.step(env.step_dt)
+    assert env.commands.velocity.abs().max() == 0.0
+    np.testing.assert_allclose(torch.rad2deg(_grade_below(env)), GRADES_OF_STAND, atol=0.01)
+    env.sim.state("qpos")[:, 1] -= 0.5
+    env.signals.refresh()
+    x = env.signals.root_pos_w[:, 0] - env.tiles.origin_w[:, 0]
+    assert (x - 0.5 * STAND.tile_length).abs().max() <= 0.15 + 1e-5
+    assert STAND.tile_length >= 2.0 * (0.5 * STAND.seconds + 0.3)
+
+
+GRADES_OF_STAND = [0.0, 0.0, 15.0, 15.0, -15.0, -15.0]
+
+
+def _grade_below(env: ManagerBasedRlEnv) -> torch.Tensor:
+    xy = env.signals.root_pos_w[:, :2]
+    ahead = torch.tensor([0.5, 0.0])
+    return torch.atan(env.terrain.height(xy + ahead) - env.terrain.height(xy - ahead))
+
+
+def glide(env: ManagerBasedRlEnv, along: float, across: float) -> None:
+    """Replaces the physics: robots glide over the ground at these horizontal speeds, without turning."""
+
+    def carry(sim: object, n: int, mask: torch.Tensor | None) -> None:
+        qpos = env.sim.state("qpos").clone()
+        qpos[:, 0] += along * env.step_dt
+        qpos[:, 1] += across * env.step_dt
+        qpos[:, 2] = env.terrain.height(qpos[:, :2].float()) + env.robot.default_root_height + 0.2
+        qpos[:, 3:7] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+        qvel = torch.zeros_like(env.sim.state("qvel"))
+        qvel[:, 0], qvel[:, 1] = along, across
+        qvel[:, 2] = along * torch.tan(torch.deg2rad(torch.tensor(GRADES_OF_STAND)))
+        env.sim.reset(torch.ones(env.num_envs, dtype=torch.bool), qpos, qvel)
+
+    env.sim.step = MethodType(carry, env.sim)  # type: ignore[method-assign]
+
+
+def test_a_robot_that_glides_has_the_creep_and_drift_of_its_glide_and_takes_no_steps() -> None:
+    cfg = ramp_env_cfg(stage1_env(), STAND)
+    cfg.sim.backend = "native"
+    env = ManagerBasedRlEnv(cfg)
+    glide(env, 0.12, -0.05)
+    results = summarise(run_trials(env, lambda _: env.zeros(29), STAND), STAND)
+    for result in results:
+        standing, along = result.standing, 1.0 / math.cos(math.radians(result.grade))
+        assert standing is not None
+        assert standing.creep_along == pytest.approx(0.12 * along, rel=1e-3)
+        assert standing.creep_across == pytest.approx(0.05, rel=1e-3)
+        assert standing.drift == pytest.approx(math.hypot(0.12 * along, 0.05) * 1.0, rel=2e-3)
+        assert standing.touchdowns_per_s == 0.0
+        assert result.falls.count == result.left_course == 0
+
+
+def test_the_table_of_standing_robots_has_their_figures() -> None:
+    protocol = dataclasses.replace(STAND, seconds=20.0)
+    results = summarise(standing(6), protocol)
+    assert results[1].standing is not None
+    assert results[1].standing.drift == pytest.approx(math.hypot(6.3 / math.cos(math.radians(15.0)), 0.4))
+    assert results[1].distance == pytest.approx(7.0 / math.cos(math.radians(15.0)))  # there is no level approach
+    console = Console(width=80)
+    with console.capture() as captured:
+        console.print(table(results))
+    rows = [line.split() for line in captured.get().splitlines() if "0/2" in line]
+    assert rows[1][5:] == ["0.350", "0.050", "6.31", "2.50", "0.770"]
+    assert "creep" in captured.get()
+    assert "…" not in captured.get()
+    assert all(result.standing is None for result in summarise(standing(6), SMALL))
+
+
+def test_a_foot_touches_the_ground_from_one_newton_on(standing_env: ManagerBasedRlEnv) -> None:
+    env = standing_env
+    address = env.sim.model.sensor("foot_force_w/left").adr[0]
+    data = env.sim.read("sensordata")
+    for force, touches in ((0.99, False), (1.01, True)):
+        data[:, address : address + 3] = torch.tensor([0.0, 0.0, force])
+        env.signals.refresh()
+        assert env.signals.foot_contact[:, 0].tolist() == [touches] * env.num_envs

@@ -20,7 +20,7 @@ from humoslope.evaluation.swing.file import calibration_path, write_calibration
 from humoslope.evaluation.swing.fit import Fit, SwingFit, gather, solve, table
 from humoslope.evaluation.swing.walk import SwingProtocol, walk
 from humoslope.files import check_place
-from humoslope.learning.policy import load_actor
+from humoslope.learning.policy import load_actor, read_spec
 from humoslope.mdp.selection import joint_pair
 from humoslope.provenance import plain
 from humoslope.slope.swing import PRIOR
@@ -58,7 +58,7 @@ def run(arguments: list[str]) -> None:
     check_place(picture)
 
     protocol, fit, console = options.protocol, options.fit, Console()
-    cfg = ramp_env_cfg(task.env, protocol)
+    cfg = ramp_env_cfg(task.env, protocol, read_spec(path).groups)
     joint_pair(cfg.scene.robot, protocol.hip)  # a mistaken pattern is said before anything is built
     env = ManagerBasedRlEnv(cfg)
     actor = load_actor(path, env, provenance.task)

@@ -39,14 +39,14 @@ class Options(Kind):
         checkpoints: Checkpoints of one method; a run folder stands for its newest one.
         protocol: Settings of the benchmark.
         out: Path of the results without ending; by default beside the first checkpoint.
-        lanes: Number of trials of a cell that are walked in parallel.
+        parallel_trials: Number of trials of a cell that run side by side.
         fresh: Walk all trials again and ignore those that were saved before.
     """
 
     checkpoints: tyro.conf.Positional[tuple[Path, ...]] = ()
     protocol: Annotated[HeldOutProtocol, tyro.conf.arg(name="")] = dataclasses.field(default_factory=HeldOutProtocol)
     out: Path | None = None
-    lanes: int = 32
+    parallel_trials: int = 32
     fresh: bool = False
 
 
@@ -60,7 +60,7 @@ def run(arguments: list[str]) -> None:
     plan = Plan(
         options.protocol,
         options.sweep,
-        options.lanes,
+        options.parallel_trials,
         options.fresh,
         options.out,
         shlex.join(["humoslope", "evaluate", *arguments]),

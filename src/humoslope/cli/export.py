@@ -14,7 +14,7 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.export.policy import DEPLOY, MODEL, ONNX, export, record_observations
 from humoslope.files import check_place
-from humoslope.learning.policy import load_actor
+from humoslope.learning.policy import load_actor, read_spec
 
 WALK = RampProtocol(grades=(0.0, 20.0, -20.0), starts=2, seconds=2.0)
 """What is walked to compare the network with the actor on what it sees there."""
@@ -44,7 +44,7 @@ def run(arguments: list[str]) -> None:
 
     console = Console()
     console.print(f"{provenance.task}, iteration {provenance.iteration}: walking, translating", soft_wrap=True)
-    env = ManagerBasedRlEnv(ramp_env_cfg(task.env, WALK))
+    env = ManagerBasedRlEnv(ramp_env_cfg(task.env, WALK, read_spec(provenance.path).groups))
     actor = load_actor(provenance.path, env, provenance.task)
     result = export(actor, env, task.env, record_observations(env, actor, WALK.seconds), folder)
     network = result.contract.network

@@ -13,15 +13,17 @@ from rich.console import Console
 
 from humoslope.cli.measure import describe, introduce, trained, walking, warn
 from humoslope.env import ManagerBasedRlEnv
-from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, summarise, table, walk
+from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, run_trials, summarise, table
 from humoslope.files import check_place, write_text
-from humoslope.learning.policy import load_actor
+from humoslope.learning.policy import load_actor, read_spec
 from humoslope.provenance import plain
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
     """Lets a trained policy walk on flat ground and on ramps, without noise, pushes or harness, and counts its falls.
+
+    With --speed 0 it is commanded to stand there, and its creep and its steps are measured.
 
     Attributes:
         checkpoint: A checkpoint, or a run folder for its newest one.
@@ -42,12 +44,12 @@ def run(arguments: list[str]) -> None:
     check_place(out)
 
     protocol, console = options.protocol, Console()
-    env = ManagerBasedRlEnv(ramp_env_cfg(task.env, protocol))
+    env = ManagerBasedRlEnv(ramp_env_cfg(task.env, protocol, read_spec(provenance.path).groups))
     actor = load_actor(provenance.path, env, provenance.task)
     introduce(console, env, provenance, protocol)
     started = time.monotonic()
     with walking(console, env, protocol.seconds) as on_step:
-        results = summarise(walk(env, actor, protocol, on_step), protocol)
+        results = summarise(run_trials(env, actor, protocol, on_step), protocol)
     took = time.monotonic() - started
 
     console.print(table(results))

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from humoslope.cli.measure import trained, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.files import check_place
-from humoslope.learning.policy import load_actor
+from humoslope.learning.policy import load_actor, read_spec
 from humoslope.replay.record import RecordProtocol, record, record_env_cfg, with_provenance
 
 
@@ -43,7 +43,7 @@ def run(arguments: list[str]) -> None:
     grade = protocol.resolve_grade()
     out = options.out or path.with_name(f"{path.stem}.{protocol.terrain}-{grade:g}.rollout.npz")
     check_place(out)
-    env = ManagerBasedRlEnv(record_env_cfg(task.env, protocol))
+    env = ManagerBasedRlEnv(record_env_cfg(task.env, protocol, read_spec(path).groups))
     actor = load_actor(path, env, provenance.task)
     console.print(
         f"{provenance.task}, iteration {provenance.iteration}: {protocol.terrain} at {grade:g}°, "

@@ -1,4 +1,4 @@
-"""What happens in trials: one walk in each world, recorded on the device until it ends."""
+"""Recording of ramp trials: one episode in each env, accumulated on the device until it ends."""
 
 from __future__ import annotations
 
@@ -8,26 +8,34 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from humoslope.statistics import Array, mean
+from humoslope.evaluation.common import to_host
+from humoslope.evaluation.track.arrays import map_arrays
+from humoslope.statistics import Array, Bools, mean
+
+TOUCHDOWN_AIR_S = 0.1
+"""Time that a foot must have been in the air for its landing to count as a step, s; longer than any contact chatter."""
 
 
 @dataclass(frozen=True)
 class Trials:
-    """N trials on the host. Averages are over the time walked after settling; NaN where there was none.
+    """N trials on the host. Averages are over the time after settling; NaN where there was none.
 
     Attributes:
-        fell: [N] bool; ended in failure (a diverged world counts as one).
+        fell: [N] bool; ended in failure (a diverged env counts as one).
         left: [N] bool; ended before its time without failure: walked off the tile.
-        seconds: [N] until the end, s.
+        seconds: [N] duration, s.
         start, end: [N] first and last place along the tile, m.
         samples: [N] control steps that the averages are over.
         speed: [N] mean forward speed along the ground, m/s.
         squared_error: [N] summed squared difference of that speed from the commanded one, (m/s)^2.
         height: [N] mean height of the root above the ground, m.
+        creep: [N, 2] mean |velocity| along the ground, forward and to the left, m/s.
+        drift: [N, 2] horizontal displacement between settling and the last place, along and across the tile, m.
+        touchdowns: [N] landings of a foot, per second.
     """
 
-    fell: np.ndarray
-    left: np.ndarray
+    fell: Bools
+    left: Bools
     seconds: Array
     start: Array
     end: Array
@@ -35,15 +43,18 @@ class Trials:
     speed: Array
     squared_error: Array
     height: Array
+    creep: Array
+    drift: Array
+    touchdowns: Array
 
     def __len__(self) -> int:
         return len(self.fell)
 
     def __getitem__(self, which: slice) -> Trials:
-        return Trials(**{name: value[which] for name, value in vars(self).items()})
+        return map_arrays(lambda values: values[which], self)
 
     def speed_error(self, commanded: float) -> float | None:
-        """How far a trial's mean speed is from the commanded one, averaged over trials, m/s."""
+        """Difference of a trial's mean speed from the commanded one, averaged over trials, m/s."""
         return mean(np.abs(self.speed - commanded))
 
     @property
@@ -54,66 +65,78 @@ class Trials:
 
 
 class Recorder:
-    """Gathers trials step by step; a world that has ended is ignored from then on. Nothing waits for the device.
+    """Accumulates trials step by step; an env whose trial has ended is ignored. Nothing waits for the device.
 
     Args:
-        place: [N] where the worlds start along their tile, m.
+        place: [N, 2] start along and across the tile, m.
         commanded: Commanded speed, m/s.
-        settle_steps: Control steps before speed and height count.
+        settle_steps: Control steps before averages begin.
         dt: Control step, s.
     """
 
     def __init__(self, place: Tensor, commanded: float, settle_steps: int, dt: float) -> None:
         self._commanded, self._settle, self._dt = commanded, settle_steps, dt
-        self._start = self._end = place.clone()
-        self._running = torch.ones_like(place, dtype=torch.bool)
+        self._start = self._end = self._settled = place.clone()
+        self._running = torch.ones_like(place[:, 0], dtype=torch.bool)
         self._fell, self._left = torch.zeros_like(self._running), torch.zeros_like(self._running)
-        self._steps = torch.zeros_like(place)
+        self._steps = torch.zeros_like(place[:, 0])
+        self._air = torch.zeros_like(place)  # [N, 2] control steps that each foot has been in the air
         # Sums are double: a thousand steps of single precision would show in the fourth digit.
-        self._samples = torch.zeros_like(place, dtype=torch.float64)
-        self._speed, self._error, self._height = (torch.zeros_like(self._samples) for _ in range(3))
+        self._samples = torch.zeros_like(self._steps, dtype=torch.float64)
+        self._speed, self._error, self._height, self._landings = (torch.zeros_like(self._samples) for _ in range(4))
+        self._creep = torch.zeros_like(place, dtype=torch.float64)
         self._step = 0
 
-    def add(self, place: Tensor, speed: Tensor, height: Tensor, failed: Tensor, ended: Tensor) -> None:
-        """Takes the outcome of one control step, all [N].
+    def add(
+        self, place: Tensor, velocity: Tensor, height: Tensor, contact: Tensor, failed: Tensor, ended: Tensor
+    ) -> None:
+        """Adds one control step.
 
-        The other values of a world that has just ended belong to its next episode and are not used.
+        An env that has just ended already shows its next episode, which is ignored.
 
         Args:
-            place: Along the tile, m.
-            speed: Forward along the ground, m/s.
-            height: Root above the ground, m.
-            failed: Whether the episode ended in failure.
-            ended: Whether it ended otherwise.
+            place: [N, 2] along and across the tile, m.
+            velocity: [N, 2] along the ground, forward and to the left, m/s.
+            height: [N] root above the ground, m.
+            contact: [N, 2] bool; feet that touch the ground.
+            failed: [N] bool; the episode ended in failure.
+            ended: [N] bool; it ended otherwise.
         """
         self._step += 1
         self._steps = self._steps + self._running
         self._fell = self._fell | (self._running & failed)
         self._left = self._left | (self._running & ended & ~failed)
         self._running = self._running & ~failed & ~ended
-        self._end = torch.where(self._running, place, self._end)
+        running = self._running[:, None]
+        self._end = torch.where(running, place, self._end)
+        landed = contact & (self._air * self._dt >= TOUCHDOWN_AIR_S - 0.5 * self._dt)
+        self._air = (self._air + 1.0).masked_fill(contact, 0.0)
         if self._step <= self._settle:
+            self._settled = self._end
             return
         self._samples = self._samples + self._running
+        speed = velocity[:, 0]
         self._speed = self._speed + torch.where(self._running, speed, 0.0)
         self._error = self._error + torch.where(self._running, (speed - self._commanded).square(), 0.0)
         self._height = self._height + torch.where(self._running, height, 0.0)
+        self._creep = self._creep + torch.where(running, velocity.abs(), 0.0)
+        self._landings = self._landings + (landed & running).sum(dim=1)
 
     def trials(self) -> Trials:
-        """What was gathered. Waits for the device."""
+        """The record so far. Waits for the device."""
         samples = self._samples.masked_fill(self._samples == 0, torch.nan)
+        nothing = samples.isnan()[:, None]
         return Trials(
             fell=self._fell.cpu().numpy(),
             left=self._left.cpu().numpy(),
-            seconds=_host(self._steps * self._dt),
-            start=_host(self._start),
-            end=_host(self._end),
-            samples=_host(self._samples),
-            speed=_host(self._speed / samples),
-            squared_error=_host(self._error),
-            height=_host(self._height / samples),
+            seconds=to_host(self._steps * self._dt),
+            start=to_host(self._start[:, 0]),
+            end=to_host(self._end[:, 0]),
+            samples=to_host(self._samples),
+            speed=to_host(self._speed / samples),
+            squared_error=to_host(self._error),
+            height=to_host(self._height / samples),
+            creep=to_host(self._creep / samples[:, None]),
+            drift=to_host((self._end - self._settled).double().masked_fill(nothing, torch.nan)),
+            touchdowns=to_host(self._landings / (samples * self._dt)),
         )
-
-
-def _host(values: Tensor) -> Array:
-    return values.cpu().numpy().astype(np.float64)

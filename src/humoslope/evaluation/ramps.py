@@ -1,7 +1,8 @@
-"""The ramp check: does a policy walk up and down planar ramps at the commanded speed, and how often does it fall?
+"""The ramp check: speed and falls of a policy that walks up and down planar ramps, or stands on them.
 
-The same for every task: a flat approach, then one planar ramp; fixed friction; small random starts; no noise on
-observations, no pushes, no harness, no curriculum and no other randomisation; elliptic cone at a fine physics step.
+It is the same for every task: a flat approach, then one planar ramp; fixed friction; small random starts; elliptic cone
+at a fine physics step; no observation noise, pushes, harness, curriculum or other randomisation. With a commanded speed
+of zero the robot starts on the slope, is commanded to stand, and its creep and its steps are measured.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError, require_not_negative, require_positive
-from humoslope.evaluation.common import measuring_physics, roll
+from humoslope.evaluation.common import measuring_physics, policy_observations, rollout
 from humoslope.evaluation.ramp_trials import Recorder, Trials
-from humoslope.managers import EventTermCfg, RewardTermCfg, TerminationTermCfg, Terms
-from humoslope.mdp import events, rewards, terminations
+from humoslope.managers import EventTermCfg, TerminationTermCfg, Terms
+from humoslope.mdp import events, terminations
 from humoslope.statistics import Array, Proportion, mean, proportion
 from humoslope.terrain.grid import SPAWN_X, Tile, TileRowCfg
 from humoslope.terrain.registry import Kind
@@ -31,34 +32,36 @@ from humoslope.terrain.registry import Kind
 APPROACH = 1.5
 """Flat ground before the ramp, m."""
 SETTLE_S = 2.0
-"""Time before speed and height count, s: the robot starts from rest."""
+"""Time before averages begin, s: the robot starts from rest."""
 STEEPEST = 60.0
 """Largest grade, degrees."""
 LONGEST = 200.0
 """Longest tile, m."""
 EDGE = 0.3
 """Distance from the tile's edge at which a robot has left it, m."""
-START = {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}
-"""Where robots start, m and rad; as wide as in training."""
+ALONG, ACROSS, YAW = 0.15, 0.5, 0.3
+"""Half-widths of the random start, m, m and rad; as in training."""
 START_JOINTS = {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}
-"""How joints start off the default pose, rad and rad/s."""
+"""Random offsets of joints from the default pose, rad and rad/s."""
+CREEP = 0.5
+"""Speed at which a robot that is commanded to stand does not reach the edge of its tile in time, m/s."""
 
 
 @dataclass(frozen=True)
 class RampProtocol:
-    """What is measured.
+    """Settings of the ramp check.
 
     Attributes:
-        grades: Of the ramps in degrees; negative goes down.
+        grades: Grades of the ramps, degrees; negative goes down.
         starts: Trials on each ramp.
-        speed: Commanded forward speed, m/s; every world steers straight up or down.
+        speed: Commanded forward speed, m/s, straight up or down the ramp; 0 commands the robot to stand on it.
         seconds: Length of a trial, s.
         timestep: Physics step, s; the control step stays the task's.
-        friction: Smallest coefficient between feet and ground.
+        friction: Smallest friction coefficient between feet and ground.
         friction_margin: The coefficient is at least tan(grade) plus this.
-        fall_height: A root lower over the ground than this is a fall, m; as in Stage I's training.
+        fall_height: A root lower above the ground than this is a fall, m; as in Stage I's training.
         fall_tilt: A root that leans further from the vertical than this is a fall, degrees; as in Stage I's training.
-        seed: Of the random starts.
+        seed: Seed of the random starts.
     """
 
     grades: tuple[float, ...] = (0.0, 10.0, -10.0, 20.0, -20.0, 25.0, -25.0, 30.0, -30.0)
@@ -80,9 +83,10 @@ class RampProtocol:
                 raise UserError(f"ramps: grade {grade:g} must be between {-STEEPEST:g} and {STEEPEST:g} degrees.")
         if self.starts < 1:
             raise UserError(f"ramps: starts is {self.starts}; each ramp needs at least 1.")
-        require_positive("ramps", speed=self.speed, seconds=self.seconds, timestep=self.timestep)
+        require_positive("ramps", seconds=self.seconds, timestep=self.timestep)
         require_not_negative(
             "ramps",
+            speed=self.speed,
             friction=self.friction,
             friction_margin=self.friction_margin,
             fall_height=self.fall_height,
@@ -95,9 +99,31 @@ class RampProtocol:
             )
 
     @property
+    def standing(self) -> bool:
+        """Whether the robot is commanded to stand."""
+        return self.speed == 0.0
+
+    @property
+    def approach(self) -> float:
+        """Level ground before the ramp, m; none if the robot stands."""
+        return 0.0 if self.standing else APPROACH
+
+    @property
     def tile_length(self) -> float:
-        """Extent of the ground in the direction of travel, m: not even 2.5 times the speed crosses it in time."""
+        """Extent of the ground in the direction of travel, m.
+
+        It is long enough for 2.5 times the commanded speed, or for a robot that creeps at `CREEP` up or down from its
+        middle.
+        """
+        if self.standing:
+            return max(4.0, float(math.ceil(2.0 * (CREEP * self.seconds + EDGE + ALONG))))
         return max(4.0, float(math.ceil(SPAWN_X + 2.5 * self.speed * self.seconds)))
+
+    @property
+    def start_along(self) -> tuple[float, float]:
+        """Range of the random start, m from `SPAWN_X`."""
+        middle = 0.5 * self.tile_length - SPAWN_X if self.standing else 0.0
+        return middle - ALONG, middle + ALONG
 
     def friction_on(self, grade: float) -> float:
         """Coefficient of friction on a ramp of `grade` degrees."""
@@ -105,20 +131,38 @@ class RampProtocol:
 
 
 @dataclass(frozen=True)
-class RampResult:
-    """The figures of one ramp; None where no trial lasted long enough to measure them.
+class Standing:
+    """Figures of a robot that was commanded to stand, from 2 s on.
 
     Attributes:
-        grade: Degrees, negative down.
-        friction: Coefficient between feet and ground.
-        falls: How many of the trials ended in a fall.
-        left_course: Trials that ended early because the robot had walked off its tile: no fall, and no full trial.
+        creep_along, creep_across: |velocity| along the ground, forward and to the left, mean of the trials' means, m/s.
+            A robot that sways on the spot has some of it too.
+        drift: Distance on the ground between the places at 2 s and at the end, averaged over trials, m.
+        touchdowns_per_s: Steps, i.e. landings of a foot after `TOUCHDOWN_AIR_S` in the air, averaged over trials, 1/s.
+    """
+
+    creep_along: float | None
+    creep_across: float | None
+    drift: float | None
+    touchdowns_per_s: float | None
+
+
+@dataclass(frozen=True)
+class RampResult:
+    """Figures of one ramp; None where no trial lasted long enough to measure them.
+
+    Attributes:
+        grade: Grade, degrees, negative down.
+        friction: Friction coefficient between feet and ground.
+        falls: Trials that ended in a fall.
+        left_course: Trials that ended early because the robot had walked off its tile: neither a fall nor a full trial.
         speed: Forward speed along the ground from 2 s on, mean of the trials' means, m/s.
-        speed_error: Distance of a trial's mean speed from the commanded one, averaged over trials, m/s.
+        speed_error: Difference of a trial's mean speed from the commanded one, averaged over trials, m/s.
         speed_rms_error: Root mean square of the difference at each instant, m/s.
         root_height: Height of the root above the ground below it, m.
-        distance: Walked along the course on its surface, m.
-        seconds: Until the end of a trial, s.
+        distance: Mean distance walked along the course on its surface, m.
+        seconds: Mean duration of a trial, s.
+        standing: Further figures if the robot was commanded to stand, else None.
     """
 
     grade: float
@@ -131,19 +175,24 @@ class RampResult:
     root_height: float | None
     distance: float
     seconds: float
+    standing: Standing | None = None
 
 
-def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
-    """The environment of a task, stripped to what is measured: its robot, actions and actor observations on this
-    protocol's ramps. Worlds are dealt out to the grades in their order, `starts` to each.
+def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str] = ("actor",)) -> EnvCfg:
+    """A task's environment reduced to its robot, its actions and the observations of the policy, on the ramps of this
+    protocol. The envs are assigned to the grades in their order, `starts` to each.
 
-    What a fall is, is the protocol's: a task may take a robot for fallen that has only walked downhill.
+    The protocol says what a fall is: a task may end an episode when the robot has only walked downhill.
+
+    Args:
+        groups: Observation groups that the policy reads.
 
     Raises:
-        UserError: If the task cannot be measured so.
+        UserError: If the protocol's physics step does not divide the task's control step, or the task does not have one
+            of the groups.
     """
-    actor = dataclasses.replace(task_env.observations.actor, enable_corruption=False)
     friction = {"friction": (protocol.friction,) * 2, "slope_margin": protocol.friction_margin}
+    start = {"along": protocol.start_along, "across": (-ACROSS, ACROSS), "yaw": (-YAW, YAW)}
     sim = measuring_physics(task_env.sim, protocol.timestep, "ramps")
     return dataclasses.replace(
         task_env,
@@ -157,11 +206,11 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
             task_env.command,
             speed=(protocol.speed,) * 2,
             lateral=(0.0, 0.0),
-            heading_share=1.0,
-            standing_share=0.0,
+            heading_share=0.0 if protocol.standing else 1.0,
+            standing_share=1.0 if protocol.standing else 0.0,
         ),
-        observations=Terms(actor=actor),
-        rewards=Terms(alive=RewardTermCfg(rewards.alive)),  # not used; an environment must have one
+        observations=policy_observations(task_env, groups, enable_corruption=False),
+        rewards=Terms(),
         terminations=Terms(
             time_out=TerminationTermCfg(terminations.time_out, time_out=True),
             off_tile=TerminationTermCfg(terminations.off_tile, {"margin": EDGE}, time_out=True),
@@ -170,7 +219,7 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
         ),
         events=Terms(
             friction=EventTermCfg(events.randomize_friction, friction, mode="startup"),
-            root=EventTermCfg(events.reset_on_tile, START),
+            root=EventTermCfg(events.reset_on_tile, start),
             joints=EventTermCfg(events.reset_joints, START_JOINTS),
         ),
         curriculum=Terms(),
@@ -178,50 +227,59 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
 
 
 def _ground(protocol: RampProtocol) -> TileRowCfg:
-    up, down = (Kind(name, (0.0, STEEPEST), partial(_ramp, sign=s)) for name, s in (("up", 1.0), ("down", -1.0)))
+    up, down = (
+        Kind(name, (0.0, STEEPEST), partial(_ramp, sign=sign, approach=protocol.approach))
+        for name, sign in (("up", 1.0), ("down", -1.0))
+    )
     tiles = [Tile(down if grade < 0.0 else up, abs(grade)) for grade in protocol.grades]
     return TileRowCfg(tiles, tile_length=protocol.tile_length)
 
 
-def _ramp(x: Array, y: Array, grade: float, rng: np.random.Generator, sign: float) -> Array:
-    """Level up to `APPROACH`, then a plane to the end of the tile."""
-    return sign * math.tan(math.radians(grade)) * np.maximum(x - APPROACH, 0.0)
+def _ramp(x: Array, y: Array, grade: float, rng: np.random.Generator, sign: float, approach: float) -> Array:
+    """Level up to `approach`, then a plane to the end of the tile."""
+    return sign * math.tan(math.radians(grade)) * np.maximum(x - approach, 0.0)
 
 
-def along_course(x: Array, grade: float) -> Array:
+def along_course(x: Array, grade: float, approach: float = APPROACH) -> Array:
     """Distance on the ground from the start of the tile to each place `x` along it, m."""
-    return np.minimum(x, APPROACH) + np.maximum(x - APPROACH, 0.0) / math.cos(math.radians(grade))
+    return np.minimum(x, approach) + np.maximum(x - approach, 0.0) / math.cos(math.radians(grade))
 
 
-def walk(
+def run_trials(
     env: ManagerBasedRlEnv,
     policy: Callable[[TensorDict], Tensor],
     protocol: RampProtocol,
     on_step: Callable[[], None] = lambda: None,
 ) -> Trials:
-    """Lets the policy walk one trial in every world of an environment made by `ramp_env_cfg`.
+    """Runs one trial in every env of an environment made by `ramp_env_cfg`.
 
     Args:
         on_step: Called after every control step.
     """
-    signals, start_x = env.signals, env.tiles.origin_w[:, 0]
+    signals, start = env.signals, env.tiles.origin_w[:, :2]
     settle = round(SETTLE_S / env.step_dt)
-    recorder = Recorder(signals.root_pos_w[:, 0] - start_x, protocol.speed, settle, env.step_dt)
+    recorder = Recorder(signals.root_pos_w[:, :2] - start, protocol.speed, settle, env.step_dt)
 
-    def record(failed: Tensor, ended: Tensor) -> None:
-        place = signals.root_pos_w[:, 0] - start_x
-        recorder.add(place, signals.root_lin_vel_t[:, 0], signals.root_height, failed, ended)
+    def observe(failed: Tensor, ended: Tensor) -> None:
+        recorder.add(
+            place=signals.root_pos_w[:, :2] - start,
+            velocity=signals.root_lin_vel_t[:, :2],
+            height=signals.root_height,
+            contact=signals.foot_contact,
+            failed=failed,
+            ended=ended,
+        )
 
-    roll(env, policy, protocol.seconds, record, on_step)
+    rollout(env, policy, protocol.seconds, observe, on_step)
     return recorder.trials()
 
 
 def summarise(trials: Trials, protocol: RampProtocol) -> list[RampResult]:
-    """The figures of every ramp, in the order of the protocol's grades."""
+    """Figures of every ramp, in the order of the protocol's grades."""
     results = []
     for i, grade in enumerate(protocol.grades):
         there = trials[i * protocol.starts : (i + 1) * protocol.starts]
-        distance = along_course(there.end, grade) - along_course(there.start, grade)
+        first, last = (along_course(place, grade, protocol.approach) for place in (there.start, there.end))
         results.append(
             RampResult(
                 grade=grade,
@@ -232,39 +290,49 @@ def summarise(trials: Trials, protocol: RampProtocol) -> list[RampResult]:
                 speed_error=there.speed_error(protocol.speed),
                 speed_rms_error=there.rms_speed_error,
                 root_height=mean(there.height),
-                distance=float(distance.mean()),
+                distance=float((last - first).mean()),
                 seconds=float(there.seconds.mean()),
+                standing=_standing(there, grade) if protocol.standing else None,
             )
         )
     return results
 
 
+def _standing(trials: Trials, grade: float) -> Standing:
+    along, across = trials.drift.T
+    return Standing(
+        creep_along=mean(trials.creep[:, 0]),
+        creep_across=mean(trials.creep[:, 1]),
+        drift=mean(np.hypot(along / math.cos(math.radians(grade)), across)),
+        touchdowns_per_s=mean(trials.touchdowns),
+    )
+
+
+FALLS = ("grade\n°", "\nfalls", "share\n%", "95 %\ninterval", "off\ncourse")
+WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 2}
+STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3}
+"""Columns of the table and their decimals."""
+
+
 def table(results: Sequence[RampResult]) -> Table:
-    """The figures as a table, from the steepest way down to the steepest way up."""
+    """Figures as a table, from the steepest descent to the steepest ascent."""
     # Without padding a row fits into a terminal of 80 columns; a cut number is worse than a tight one.
     table = Table(title="Ramps", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
-    table.caption = "speed, its errors and height: from 2 s on, while the robot is up"
-    for column in (
-        "grade\n°",
-        "\nfalls",
-        "share\n%",
-        "95 %\ninterval",
-        "off\ncourse",
-        "speed\nm/s",
-        "error\nm/s",
-        "RMS\nm/s",
-        "height\nm",
-        "way\nm",
-    ):
+    table.caption = "averages: from 2 s on, while the robot is up"
+    columns = STANDING if any(r.standing for r in results) else WALKING
+    for column in (*FALLS, *columns):
         table.add_column(column, justify="right", no_wrap=True)
     for r in sorted(results, key=lambda r: r.grade):
+        if (s := r.standing) is not None:
+            figures = (s.creep_along, s.creep_across, s.drift, s.touchdowns_per_s, r.root_height)
+        else:
+            figures = (r.speed, r.speed_error, r.speed_rms_error, r.root_height, r.distance)
         table.add_row(
             f"{r.grade:+g}" if r.grade else "0",
             f"{r.falls.count}/{r.falls.total}",
             f"{100.0 * r.falls.share:.1f}",
             f"{100.0 * r.falls.low:.1f}-{100.0 * r.falls.high:.1f}",
             str(r.left_course),
-            *("-" if v is None else f"{v:.3f}" for v in (r.speed, r.speed_error, r.speed_rms_error, r.root_height)),
-            f"{r.distance:.2f}",
+            *("-" if v is None else f"{v:.{digits}f}" for v, digits in zip(figures, columns.values(), strict=True)),
         )
     return table

@@ -18,7 +18,7 @@ from humoslope.deploy.quantities import CUSTOM, QUANTITIES
 from humoslope.deploy.unitree import deploy_yaml
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError, unknown
-from humoslope.evaluation.common import roll
+from humoslope.evaluation.common import rollout
 from humoslope.export.onnx import OUTPUT, largest_difference, network_inputs, translate
 from humoslope.files import write_atomically, write_text
 from humoslope.learning.policy import Actor, Provenance
@@ -64,7 +64,7 @@ def record_observations(env: ManagerBasedRlEnv, actor: Actor, seconds: float) ->
         seen.append(obs.select(*actor.spec.groups))
         return actor(obs)
 
-    roll(env, act, seconds, lambda failed, ended: None)
+    rollout(env, act, seconds, lambda failed, ended: None)
     recorded: TensorDict = TensorDict.cat(seen)
     return recorded
 

@@ -115,11 +115,9 @@ def record_env_cfg(task_env: EnvCfg, protocol: RecordProtocol, groups: Sequence[
     """
     same = ("seconds", "speed", "timestep", "friction", "friction_margin", "seed")
     check = RampProtocol(grades=(0.0,), starts=1, **{name: getattr(protocol, name) for name in same})
-    cfg = ramp_env_cfg(task_env, check)
+    cfg = ramp_env_cfg(task_env, check, groups)
     cfg.scene = dataclasses.replace(task_env.scene, terrain=protocol.ground())
     cfg.rewards = task_env.rewards
-    kept = {name: getattr(task_env.observations, name) for name in groups}
-    cfg.observations = Terms(**{n: dataclasses.replace(g, enable_corruption=False) for n, g in kept.items()})
     if protocol.push:
         every = (protocol.push_every,) * 2
         cfg.events.push = EventTermCfg(push, {"speed": protocol.push}, mode="interval", interval_s=every)

@@ -37,7 +37,7 @@ def test_the_height_of_the_centre_of_mass_is_drawn_at_each_grade(results):
     figure = Figure()
     com_height_by_grade(results, figure)
     drawn = figure.axes[0].containers[0].lines[0].get_ydata()
-    assert list(drawn) == [grade.summary.com_height.mean for grade in results[0].grades]
+    assert list(drawn) == [grade.summary["com_height"].mean for grade in results[0].grades]
 
 
 def test_millimetres_are_not_drawn_as_a_change_of_posture(results):
@@ -52,7 +52,7 @@ def test_success_is_drawn_with_its_interval_in_a_panel_for_each_tier(results):
     success_by_grade(results, figure)
     assert [axis.get_title(loc="left") for axis in figure.axes] == [f"friction tan(grade) + {t:g}" for t in TIERS]
     points, _, (bars,) = figure.axes[1].containers[1].lines
-    rates = [cell.summary.success for cell in results[1].cells if cell.tier == 0.6]
+    rates = [cell.summary["success"] for cell in results[1].cells if cell.tier == 0.6]
     assert list(points.get_ydata()) == pytest.approx([100.0 * rate.share for rate in rates])
     ends = np.array([segment[:, 1] for segment in bars.get_segments()])
     assert ends == pytest.approx(np.array([[100.0 * rate.low, 100.0 * rate.high] for rate in rates]))
@@ -65,7 +65,7 @@ def test_survival_falls_from_all_trials_to_the_success_rate_at_the_goal(results)
     for axis, grade in zip(figure.axes, results[1].grades, strict=True):
         x, y = axis.lines[1].get_data()
         assert (x[0], y[0]) == (0.0, 100.0)
-        assert (x[-1], y[-1]) == (GOAL, pytest.approx(100.0 * grade.summary.success.share))
+        assert (x[-1], y[-1]) == (GOAL, pytest.approx(100.0 * grade.summary["success"].share))
         assert (np.diff(y) <= 0.0).all()
 
 

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from humoslope.errors import UserError
-from humoslope.evaluation.report.results import Training, read_results, tell
+from humoslope.evaluation.report.paper import read_paper
+from humoslope.evaluation.report.results import Training, TrialSetup, read_results, to_report
+from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
+from humoslope.evaluation.track.protocol import HeldOutProtocol
 from humoslope.evaluation.track.summary import summarise
 from tests.evaluation.made_up import GOAL, GRADES, SEGMENTS, TASK, TIERS, TRIALS, outcomes, report, sweep, write
 
 
 def told(walked):
-    return tell(walked, grades=GRADES, tiers=TIERS, segments=SEGMENTS, speed=0.5, mass=33.0)
+    return to_report(walked, grades=GRADES, tiers=TIERS, segments=SEGMENTS, speed=0.5, mass=33.0)
 
 
 def test_what_was_measured_is_what_is_read(tmp_path):
@@ -28,9 +35,26 @@ def test_what_was_measured_is_what_is_read(tmp_path):
     steep = walked.grade_index == 2
     assert result.at(20.0).summary == summarise(walked, steep, 33.0, 0.5)
     assert result.cells[4].summary == summarise(walked, (walked.grade_index == 1) & (walked.tier_index == 1), 33.0, 0.5)
-    assert result.at(20.0).summary.success.total == len(TIERS) * TRIALS
+    assert result.at(20.0).summary["success"].total == len(TIERS) * TRIALS
     assert result.at(20.0).diagnosis["up"].torso_pitch == pytest.approx(0.3)
     assert result.at(25.0) is None
+
+
+@given(speed=st.floats(0.1, 2.0), start=st.floats(0.0, 10.0), way=st.floats(0.0, 20.0), grade=st.floats(0.0, 45.0))
+def test_the_commanded_time_is_the_way_along_the_ground_over_the_speed(speed, start, way, grade):
+    setup = TrialSetup(speed, start, start + way, SEGMENTS)
+    # The same by small steps: the ground is longer than its shadow where a segment slopes.
+    x = start + way * (np.arange(4000) + 0.5) / 4000
+    ends = np.cumsum([s.length for s in SEGMENTS])
+    slopes = np.array([s.direction for s in SEGMENTS])[np.searchsorted(ends, x, side="right")] != 0
+    along = np.where(slopes, 1.0 / math.cos(math.radians(grade)), 1.0).sum() * way / 4000
+    assert setup.commanded_seconds(grade) == pytest.approx(along / speed, rel=2e-3, abs=1e-9)
+
+
+def test_the_commanded_time_of_the_held_out_track_is_the_known_one():
+    protocol = HeldOutProtocol()
+    setup = TrialSetup(protocol.speed, protocol.start_place, protocol.success_place, protocol.find_course().segments)
+    assert [round(setup.commanded_seconds(g), 1) for g in protocol.grades] == [62.0, 62.6, 64.7, 68.5]
 
 
 def test_cells_say_their_friction():
@@ -112,12 +136,36 @@ def test_mistakes_are_said_in_one_sentence(tmp_path):
     assert "does not exist" in said(tmp_path / "nothing.json")
     assert "is the second result of" in said(good, good)
     (tmp_path / "bad.json").write_text("{")
-    assert "is no JSON file" in said(tmp_path / "bad.json")
+    assert "is not a readable JSON file" in said(tmp_path / "bad.json")
     for changed in ({"what": "ramps"}, {"checkpoints": []}, {"grades": [{"grade": 0.0}]}, {"cells": None}):
         odd = write(tmp_path, "odd", report() | changed)
-        assert "is no result of `humoslope evaluate`" in said(odd)
+        assert "is not a result of `humoslope evaluate`" in said(odd)
     (tmp_path / "list.json").write_text(json.dumps([1, 2]))
-    assert "is no result of `humoslope evaluate`" in said(tmp_path / "list.json")
+    assert "is not a result of `humoslope evaluate`" in said(tmp_path / "list.json")
     (tmp_path / "empty").mkdir()
     assert "there are no results in" in said(tmp_path / "empty")
     assert "there are no results in nothing" in said()
+
+
+def test_a_result_of_an_older_version_lacks_only_the_metrics_that_it_did_not_have(tmp_path):
+    old = report(0.5)
+    for cell in old["cells"]:
+        del cell["summary"]["knee_p99"]
+    (result,) = read_results([str(write(tmp_path, "a", old))])
+    shown = cells_table([result])
+    column = [column.label for column in shown.columns].index("τ p99")
+    assert {row.values[column] for row in shown.rows} == {None}
+
+
+SHIPPED = sorted((Path(__file__).parents[3] / "experiments" / "results").glob("*/*.json"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_the_shipped_tables_are_those_of_the_shipped_results(path):
+    results = read_results([str(path)])
+    sheets = [cells_table(results)]
+    if path.parent.name == "heldout":
+        paper = read_paper()
+        sheets = [main_table(results, paper), ablation_table(results, paper), diagnostics_table(results), *sheets]
+    assert path.with_suffix(".csv").read_text() == sheets[-1].to_csv()
+    assert path.with_suffix(".md").read_text() == "\n".join(sheet.to_markdown() for sheet in sheets)

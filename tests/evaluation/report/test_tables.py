@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from humoslope.evaluation.report.results import Result, Training, read_results
 from humoslope.evaluation.report.table import Column, Row, Sheet
 from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
 from humoslope.statistics import average, proportion
-from tests.evaluation.made_up import report, sweep, write
+from tests.evaluation.made_up import GRADES, report, sweep, write
 
 STAGE2, URL = "HumoSlope-Stage2-Unitree-G1", "URL-TerrainRelative-Unitree-G1"
 
@@ -71,7 +72,7 @@ def test_every_task_the_paper_is_compared_with_exists(paper):
 
 def test_without_the_papers_file_there_are_only_our_rows_and_a_broken_one_is_a_mistake(results, tmp_path):
     sheet = main_table(results, read_paper(tmp_path / "nothing.json"))
-    assert not any(row.paper for row in sheet.rows)
+    assert not any(row.source == "paper" for row in sheet.rows)
     broken = tmp_path / "paper.json"
     broken.write_text(FILE.read_text().replace('"max_grade"', '"max"'))
     with pytest.raises(UserError, match="cannot be read: 'max_grade'"):
@@ -83,6 +84,7 @@ def test_without_the_papers_file_there_are_only_our_rows_and_a_broken_one_is_a_m
 
 def test_the_papers_row_stands_below_ours_and_the_others_at_the_end(results, paper):
     assert titles(main_table(results, paper)) == [
+        "at the commanded speed",
         STAGE2,
         "paper: Ours",
         f"{URL} (partial: 40 of 96 trials)",
@@ -94,7 +96,7 @@ def test_the_papers_row_stands_below_ours_and_the_others_at_the_end(results, pap
 
 def test_a_name_given_by_hand_decides_what_it_is_compared_with(results, paper):
     sheet = main_table([replace(results[0], name="Gallant"), replace(results[1], name="mine")], paper)
-    assert titles(sheet)[:3] == ["Gallant", "paper: Gallant", "mine (partial: 40 of 96 trials)"]
+    assert titles(sheet)[1:4] == ["Gallant", "paper: Gallant", "mine (partial: 40 of 96 trials)"]
 
 
 def test_table_1_has_its_columns_and_our_figures_in_them(results, paper):
@@ -103,19 +105,51 @@ def test_table_1_has_its_columns_and_our_figures_in_them(results, paper):
     assert titles[:3] == ["0° SR %", "0° MXD m", "0° T_trav s"]
     assert titles[9:] == ["30° SR %", "30° MXD m", "30° T_trav s", "max grade °"]
     steep = results[0].at(30.0).summary
-    assert sheet.rows[0].values[9:] == (steep.success, steep.max_distance, steep.traversal_s, 33.0)
-    assert sheet.rows[1].values[9:] == (77.1, 27.54, 62.8, 36)
+    assert sheet.rows[1].values[9:] == (steep["success"], steep["max_distance"], steep["traversal_s"], 33.0)
+    assert sheet.rows[2].values[9:] == (77.1, 27.54, 62.8, 36)
+
+
+def test_table_1_begins_with_the_time_that_the_commanded_speed_takes(results, paper):
+    sheet = main_table(results, paper)
+    row = sheet.rows[0]
+    assert (row.title, row.source) == ("at the commanded speed", "reference")
+    assert row.note == "0.5 m/s along the ground to 31.5 m"
+    # 18 of the 31 m between start and goal are slopes.
+    expected = [(13.0 + 18.0 / math.cos(math.radians(grade))) / 0.5 for grade in GRADES]
+    assert [row.values[i] for i in (2, 5, 8, 11)] == pytest.approx(expected)
+    assert {row.values[i] for i in (0, 1, 3, 4, 6, 7, 9, 10, 12)} == {None}
+    said = "0.5 m/s along the ground take " + ", ".join(
+        f"{t:.1f} s at {g:g}°" for t, g in zip(expected, GRADES, strict=True)
+    )
+    assert any(said in note and "MXD stops at 31.5 m" in note for note in sheet.notes)
+    assert any(f"take {expected[2]:.1f} s at 20°. " in note for note in ablation_table(results, paper).notes)
+
+
+def test_results_of_other_speeds_have_times_of_their_own(results, paper):
+    fast = replace(results[1], setup=replace(results[1].setup, speed=0.8))
+    rows = main_table([results[0], fast], paper).rows
+    assert [row.note for row in rows if row.source == "reference"] == [
+        "0.5 m/s along the ground to 31.5 m",
+        "0.8 m/s along the ground to 31.5 m",
+    ]
+    assert rows[1].values[2] == pytest.approx(31.0 / 0.8)
+    assert not any(row.source == "reference" for row in main_table([replace(results[0], setup=None)], paper).rows)
 
 
 def test_table_2_has_the_papers_figures_only_at_its_grade(results, paper):
     sheet = ablation_table(results, paper)
     there = results[0].at(20.0).summary
     shown = sheet.rows[0].values
-    assert shown[:3] == (there.success, there.max_distance, there.traversal_s)
-    assert shown[3:7] == (there.cost_of_transport, there.yaw_rate_variance, there.com_height, there.knee_peak)
+    assert shown[:3] == (there["success"], there["max_distance"], there["traversal_s"])
+    assert shown[3:7] == (
+        there["cost_of_transport"],
+        there["yaw_rate_variance"],
+        there["com_height"],
+        there["knee_peak"],
+    )
     assert sheet.rows[1].title == "paper: Full"
     assert sheet.rows[1].values == (98.2, 31.75, 53.7, 1.380, 0.1008, 0.669, 117.9, None, None, None)
-    assert [row.paper for row in ablation_table(results, paper, 30.0).rows] == [False, False]
+    assert [row.source == "paper" for row in ablation_table(results, paper, 30.0).rows] == [False, False]
     nowhere = ablation_table(results, paper, 15.0).rows[0].values
     assert set(nowhere) == {None}
 
@@ -135,9 +169,9 @@ def test_every_figure_is_told_by_grade_and_friction(results):
     row, cell = sheet.rows[4], results[0].cells[4]
     shown = dict(zip((column.title for column in sheet.columns), row.values, strict=True))
     assert (shown["grade °"], shown["friction"]) == (10.0, pytest.approx(0.776, abs=1e-3))
-    assert (shown["SR %"], shown["MXD m"]) == (cell.summary.success, cell.summary.max_distance)
-    assert (shown["CoT +"], shown["τ max Nm"]) == (cell.summary.cost_of_transport_positive, cell.summary.knee_max)
-    assert shown["fell"] + shown["left"] + shown["timed out"] + cell.summary.success.count == 8
+    assert (shown["SR %"], shown["MXD m"]) == (cell.summary["success"], cell.summary["max_distance"])
+    assert (shown["CoT +"], shown["τ max Nm"]) == (cell.summary["cost_of_transport_positive"], cell.summary["knee_max"])
+    assert shown["fell"] + shown["left"] + shown["timed out"] + cell.summary["success"].count == 8
 
 
 def test_only_grades_that_were_walked_have_columns_and_without_any_the_papers(results, paper):
@@ -162,7 +196,7 @@ def test_only_grades_that_were_walked_have_columns_and_without_any_the_papers(re
 )
 def test_every_row_says_what_its_training_cost_and_whether_a_harness_helped(results, paper, training, said):
     result = replace(results[0], training=tuple(training))
-    assert main_table([result], paper).rows[0].note == said
+    assert main_table([result], paper).rows[1].note == said
     assert ablation_table([result], paper).rows[0].note == said
     assert diagnostics_table([result]).rows[0].note == said
 
@@ -186,7 +220,7 @@ SHEET = Sheet(
     rows=(
         Row("mine", "3 M steps", (proportion(3, 4), average(np.array([12.25, 12.75])), "up"), partial="4 of 8 trials"),
         Row("mine", "3 M steps", (None, None, "down"), more=True),
-        Row("theirs", "", (50.0, 31.5, None), paper=True),
+        Row("theirs", "", (50.0, 31.5, None), source="paper"),
     ),
     notes=("SR: share.",),
 )

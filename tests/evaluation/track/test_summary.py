@@ -8,18 +8,14 @@ import math
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from humoslope.errors import UserError
-from humoslope.evaluation.track.metrics import BIN, SETTLE_S, TrackTrials
-from humoslope.evaluation.track.summary import (
-    Summary,
-    cost_of_transport,
-    diagnose,
-    knee_quantile,
-    profile,
-    summarise,
-)
-from tests.evaluation.scripted import DT, as_if, outcomes, walk
+from humoslope.evaluation.track.metrics import BIN, SETTLE_S, cost_of_transport, knee_quantile
+from humoslope.evaluation.track.recorder import TrackTrials
+from humoslope.evaluation.track.summary import SlopeLimit, Summary, diagnose, profile, slope_limit, summarise
+from tests.evaluation.scripted import DT, as_if, join, outcomes, walk
 
 SETTLED = round(SETTLE_S / DT)
 MASS = 30.0
@@ -44,48 +40,48 @@ def test_success_rate_distance_and_time_are_those_of_the_trials_that_count() -> 
         seconds=[60.0, 7.0, 64.0, 140.0],
         max_place=[31.5, 3.5, 31.5, 12.0],
     )
-    assert (told.success.count, told.success.total) == (2, 4)
+    assert (told["success"].count, told["success"].total) == (2, 4)
     # Wilson's interval for 2 of 4, from its closed form.
     z = 1.959964
     half = z * math.sqrt(0.25 / 4 + z**2 / 64) / (1 + z**2 / 4)
-    assert (told.success.low, told.success.high) == pytest.approx((0.5 - half, 0.5 + half), abs=1e-4)
-    assert (told.fell, told.left, told.timed_out) == (1, 0, 1)
-    assert told.max_distance.mean == pytest.approx((31.5 + 3.5 + 31.5 + 12.0) / 4)
-    assert (told.traversal_s.mean, told.traversal_s.trials) == (pytest.approx(62.0), 2)
+    assert (told["success"].low, told["success"].high) == pytest.approx((0.5 - half, 0.5 + half), abs=1e-4)
+    assert (told["fell"], told["left"], told["timed_out"]) == (1, 0, 1)
+    assert told["max_distance"].mean == pytest.approx((31.5 + 3.5 + 31.5 + 12.0) / 4)
+    assert (told["traversal_s"].mean, told["traversal_s"].trials) == (pytest.approx(62.0), 2)
 
 
 def test_without_a_success_there_is_no_traversal_time() -> None:
     told = figures(steady(2), seconds=[1.0, 2.0])
-    assert told.traversal_s is None
-    assert told.cost_of_transport_successes is None
-    assert told.success.share == 0.0
+    assert told["traversal_s"] is None
+    assert told["cost_of_transport_successes"] is None
+    assert told["success"].share == 0.0
 
 
 def test_only_the_chosen_trials_count() -> None:
     trials = steady(3, com_height=torch.tensor([0.6, 0.7, 0.8]))
     told = summarise(outcomes(trials, success=[True, False, True]), np.array([True, False, True]), MASS, 0.5)
-    assert told.com_height.mean == pytest.approx(0.7)
-    assert told.com_height.std == pytest.approx(0.1 * math.sqrt(2.0))
-    assert told.success.total == 2
+    assert told["com_height"].mean == pytest.approx(0.7)
+    assert told["com_height"].std == pytest.approx(0.1 * math.sqrt(2.0))
+    assert told["success"].total == 2
     with pytest.raises(UserError, match="at least one"):
         summarise(outcomes(trials), np.zeros(3, dtype=bool), MASS, 0.5)
 
 
 def test_too_fast_and_too_slow_trials_do_not_make_up_for_each_other() -> None:
-    trials = TrackTrials.join([walk(201, lambda step: {}, speed=speed) for speed in (0.3, 0.7)])
+    trials = join([walk(201, lambda step: {}, speed=speed) for speed in (0.3, 0.7)])
     told = figures(trials)
-    assert told.speed.mean == pytest.approx(0.5)
-    assert told.speed_error.mean == pytest.approx(0.2)
-    assert told.speed_rms_error == pytest.approx(0.2)
+    assert told["speed"].mean == pytest.approx(0.5)
+    assert told["speed_error"].mean == pytest.approx(0.2)
+    assert told["speed_rms_error"] == pytest.approx(0.2)
 
 
 def test_cost_of_transport_is_power_over_weight_and_speed() -> None:
     # 75 W driven and 25 W taken up, at 0.5 m/s.
     joints = {f"{HIP}_torque": 50.0, f"{HIP}_vel": 1.5, f"{KNEE}_torque": -25.0, f"{KNEE}_vel": 1.0}
     told = figures(steady(2, **joints), success=[True, False])
-    assert told.cost_of_transport == pytest.approx(100.0 / (MASS * 9.81 * 0.5), rel=1e-5)
-    assert told.cost_of_transport_positive == pytest.approx(75.0 / (MASS * 9.81 * 0.5), rel=1e-5)
-    assert told.cost_of_transport_successes == pytest.approx(told.cost_of_transport)
+    assert told["cost_of_transport"] == pytest.approx(100.0 / (MASS * 9.81 * 0.5), rel=1e-5)
+    assert told["cost_of_transport_positive"] == pytest.approx(75.0 / (MASS * 9.81 * 0.5), rel=1e-5)
+    assert told["cost_of_transport_successes"] == pytest.approx(told["cost_of_transport"])
 
 
 def test_a_trial_weighs_in_the_cost_of_transport_by_its_way() -> None:
@@ -103,8 +99,8 @@ def test_standing_has_no_cost_of_transport() -> None:
 
 def test_the_peak_is_the_mean_of_the_peaks_and_the_largest_is_told_too() -> None:
     told = figures(steady(2, left_knee_joint_torque=torch.tensor([80.0, -120.0])))
-    assert told.knee_peak.mean == pytest.approx(100.0)
-    assert told.knee_max == pytest.approx(120.0)
+    assert told["knee_peak"].mean == pytest.approx(100.0)
+    assert told["knee_max"] == pytest.approx(120.0)
 
 
 def test_ninety_nine_of_a_hundred_instants_stay_below_the_quantile() -> None:
@@ -121,16 +117,30 @@ def test_ninety_nine_of_a_hundred_instants_stay_below_the_quantile() -> None:
     assert knee_quantile(trials[:0], 0.99) is None
 
 
+@given(torque=st.floats(0.0, 138.0), share=st.floats(0.01, 0.99))
+def test_the_quantile_of_a_constant_torque_is_the_middle_of_its_bin(torque: float, share: float) -> None:
+    trials = steady(1)
+    histogram = np.zeros_like(trials.knee_histogram)
+    histogram[0, math.floor(torque)] = 402
+    assert knee_quantile(as_if(trials, knee_histogram=histogram), share) == math.floor(torque) + 0.5
+
+
 def test_nothing_was_measured_of_trials_that_ended_before_they_settled() -> None:
     told = figures(walk(SETTLED - 1, lambda step: {"com_height": 0.7}))
-    nothing = (told.speed, told.speed_error, told.speed_rms_error, told.yaw_rate_variance, told.com_height)
+    nothing = (
+        told["speed"],
+        told["speed_error"],
+        told["speed_rms_error"],
+        told["yaw_rate_variance"],
+        told["com_height"],
+    )
     assert set(nothing) == {None}
-    assert told.root_height is None
+    assert told["root_height"] is None
 
 
 def test_a_trial_that_ended_early_does_not_lower_the_averages_of_the_others() -> None:
-    trials = TrackTrials.join([walk(SETTLED - 1, lambda step: {}), steady(1, com_height=0.7)])
-    told = figures(trials).com_height
+    trials = join([walk(SETTLED - 1, lambda step: {}), steady(1, com_height=0.7)])
+    told = figures(trials)["com_height"]
     assert (told.mean, told.trials) == (pytest.approx(0.7), 1)
 
 
@@ -176,3 +186,24 @@ def test_along_the_track_there_are_values_where_somebody_was() -> None:
     assert len(there) == 5
     assert all(low < high for low, high in itertools.pairwise(there))
     assert [value for value in along["torso_pitch"] if value is not None] == pytest.approx([0.1] * 5)
+
+
+# The slope limit
+
+
+@pytest.mark.parametrize(
+    ("successes", "expected"),
+    [
+        ((4, 4, 2, 1), SlopeLimit(12.0, 13.0, False)),
+        ((4, 1, 4, 0), SlopeLimit(10.0, 12.0, False)),  # a steeper grade that happens to go well does not count
+        ((1, 4, 4, 4), SlopeLimit(None, 13.0, False)),
+        ((0, 0, 0, 0), SlopeLimit(None, None, False)),
+        ((4, 4, 4, 2), SlopeLimit(13.0, 13.0, True)),
+    ],
+)
+def test_the_climb_stops_at_the_first_grade_that_is_not_mastered(
+    successes: tuple[int, ...], expected: SlopeLimit
+) -> None:
+    grades = (10.0, 11.0, 12.0, 13.0)
+    assert slope_limit(grades, successes, (4,) * 4) == expected
+    assert slope_limit(grades[::-1], successes[::-1], (4,) * 4) == expected

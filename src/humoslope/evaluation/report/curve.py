@@ -1,4 +1,4 @@
-"""The learning curve of a run, read from its event files and drawn against environment steps."""
+"""Learning curves of a run, read from its event files and drawn against environment steps."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import SCALARS, Even
 
 from humoslope.errors import UserError
 from humoslope.files import write_text
+from humoslope.plotting import INK, dress, new_figure, save_figure
 from humoslope.statistics import Array
 
 if TYPE_CHECKING:
@@ -21,12 +22,12 @@ if TYPE_CHECKING:
 
 STEPS = "Perf/total_steps"
 ITERATION = "iteration"
-INK, LINE = "#333333", "#1f6f8b"
+LINE = "#1f6f8b"
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One curve: its tag, what it is called, and the range of its axis if that is known beforehand."""
+    """A curve: its tag, its title, and the range of its axis if that is known beforehand."""
 
     tag: str
     title: str
@@ -37,7 +38,7 @@ class Panel:
 PANELS = (
     Panel("Train/reward", "reward per second"),
     Panel("Train/episode_length", "length of finished episodes, control steps", low=0.0),
-    Panel("Train/falls_per_second", "falls per world and second", low=0.0),
+    Panel("Train/falls_per_second", "falls per env and second", low=0.0),
     Panel("Curriculum/harness", "scale of the training harness", -0.03, 1.03),
     Panel("Curriculum/terrain_levels", "mean terrain level", low=0.0),
     Panel("Reward/track_velocity", "speed tracking reward per second", low=0.0),
@@ -50,8 +51,8 @@ Curve = dict[int, float]
 def read_curves(run_dir: Path) -> dict[str, Curve]:
     """All scalars of a run by tag, iterations in order.
 
-    A run that was resumed wrote several event files. Where a later file starts, the earlier ones end: what they hold of
-    later iterations was done after the checkpoint that the run went back to.
+    A run that was resumed wrote several event files. An earlier file is read up to the first iteration of the next one:
+    its later iterations were done after the checkpoint that the run was resumed from.
 
     Raises:
         UserError: If the folder does not exist or holds no curves.
@@ -68,7 +69,7 @@ def read_curves(run_dir: Path) -> dict[str, Curve]:
 
 
 def continued(earlier: Mapping[str, Curve], later: Mapping[str, Curve]) -> dict[str, Curve]:
-    """Both as one, of which the later holds from its first iteration on."""
+    """Both sets of curves as one, in which `later` replaces `earlier` from its first iteration on."""
     first = min(min(curve) for curve in later.values())
     merged = {tag: {i: v for i, v in curve.items() if i < first} for tag, curve in earlier.items()}
     for tag, curve in later.items():
@@ -77,10 +78,10 @@ def continued(earlier: Mapping[str, Curve], later: Mapping[str, Curve]) -> dict[
 
 
 def read_table(path: Path) -> dict[str, Curve]:
-    """Curves from a table that `write_table` wrote.
+    """Curves from a table of `write_table`.
 
     Raises:
-        UserError: If it is no such table.
+        UserError: If the file is not such a table.
     """
     try:
         rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
@@ -91,9 +92,9 @@ def read_table(path: Path) -> dict[str, Curve]:
 
 
 def write_table(curves: Mapping[str, Curve], path: Path) -> None:
-    """Writes what is drawn as a table: a line for each iteration, to five digits.
+    """Writes the curves that `draw` shows as CSV: a line for each iteration, to five digits.
 
-    Event files are large and stay where the run was; this is what is kept of them.
+    Event files are large and stay with the run; this table is what is kept of them.
     """
     tags = [tag for tag in (STEPS, *(panel.tag for panel in PANELS)) if tag in curves]
     out = io.StringIO()
@@ -107,38 +108,28 @@ def write_table(curves: Mapping[str, Curve], path: Path) -> None:
 
 
 def draw(curves: Mapping[str, Curve], title: str, out: Path) -> None:
-    """Writes a picture of the curves that are there, against environment steps.
+    """Writes a figure of the available curves against environment steps.
 
     Raises:
-        UserError: If there are none, or the picture cannot be written.
+        UserError: If there are none, or the figure cannot be written.
     """
-    # Drawn without pyplot, so that neither a screen nor the backend the user chose matters.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     panels = [panel for panel in PANELS if panel.tag in curves]
     if STEPS not in curves or not panels:
         raise UserError(f"the curves of {title} hold no {STEPS}, or none of {', '.join(p.tag for p in PANELS)}.")
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(5.5 * columns, 0.7 + 2.5 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, color=INK, fontsize=13)
+    figure = new_figure(5.5 * columns, 0.7 + 2.5 * rows, title)
     axes = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
     for axis in axes[len(panels) :]:
         axis.set_visible(False)
     for axis, panel in zip(axes, panels, strict=False):
         _draw_panel(axis, panel, curves[STEPS], curves[panel.tag])
     figure.supxlabel("environment steps, million", fontsize=10, color=INK)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(out, dpi=130)
-    except (OSError, ValueError) as error:
-        raise UserError(f"cannot write the curve to '{out}': {error}.") from None
+    save_figure(figure, out)
 
 
 def smooth(values: Array, window: int) -> Array:
-    """Mean over `window` values around each; fewer at the ends."""
+    """Mean over the `window` values around each, fewer at the ends."""
     sums = np.concatenate(([0.0], np.cumsum(values)))
     index = np.arange(len(values))
     low, high = np.maximum(index - window // 2, 0), np.minimum(index + window // 2 + 1, len(values))
@@ -155,14 +146,11 @@ def _draw_panel(axis: Axes, panel: Panel, steps: Curve, curve: Curve) -> None:
     low, high = axis.get_ylim()
     axis.set_ylim(low if panel.low is None else panel.low, high if panel.high is None else panel.high)
     axis.margins(x=0.01)
-    axis.grid(color="0.92")
-    axis.set_axisbelow(True)
-    axis.tick_params(labelsize=8, colors=INK)
-    axis.spines[["top", "right"]].set_visible(False)
+    dress(axis)
 
 
 def _read(path: Path) -> tuple[float, dict[str, Curve]] | None:
-    """When an event file was begun, and its scalars; None if it has none."""
+    """Start time of an event file and its scalars; None if it has none."""
     events = EventAccumulator(str(path), size_guidance={SCALARS: 0})  # 0: all of them
     events.Reload()
     curves = {tag: {e.step: e.value for e in events.Scalars(tag)} for tag in events.Tags()[SCALARS]}

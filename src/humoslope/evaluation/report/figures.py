@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
@@ -16,19 +15,20 @@ from numpy.typing import ArrayLike
 from humoslope.errors import UserError
 from humoslope.evaluation.report.results import Result
 from humoslope.evaluation.track.metrics import BIN
-from humoslope.files import write_atomically
-from humoslope.statistics import Array, Proportion
+from humoslope.evaluation.track.summary import Summary
+from humoslope.plotting import INK, dress, new_figure, save_figure
+from humoslope.statistics import Array, Average, Proportion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, GROUND = "#333333", "#d9d2c5"
+GROUND = "#d9d2c5"
 COLOURS = ("#1f6f8b", "#c8553d", "#6a994e", "#8d6a9f", "#d99a2b", "#5c677d", "#a3506b", "#3d8c84")
-"""Told apart by eye, also by the colour-blind, in this order."""
+"""Distinguishable, also for the colour-blind, in this order."""
 MARKERS = "osD^vPX*"
 SHADES = {1: "#f3e3d7", -1: "#dde8ee"}
-"""Behind the segments that go up and down."""
+"""Background of the segments that go up and down."""
 
 LEAST_SPAN = 0.1
 """Least extent of an axis of heights, m: millimetres should not look like a change of posture."""
@@ -38,11 +38,11 @@ def draw_all(results: Sequence[Result], folder: Path, grade: float) -> list[Path
     """Writes every figure.
 
     Args:
-        folder: Where to.
-        grade: Degrees, for the figure along the track.
+        folder: Destination.
+        grade: Grade of the figure along the track, degrees.
 
     Returns:
-        The files.
+        The files written.
 
     Raises:
         UserError: If a figure cannot be written, or there is nothing to draw.
@@ -60,12 +60,23 @@ def draw_all(results: Sequence[Result], folder: Path, grade: float) -> list[Path
     return [_write(draw, folder / f"{name}.png") for name, draw in drawings.items()]
 
 
+def _com_height(summary: Summary) -> Average | None:
+    height = summary.get("com_height")
+    return height if isinstance(height, Average) else None
+
+
+def _success(summary: Summary) -> Proportion:
+    rate = summary["success"]
+    assert isinstance(rate, Proportion)
+    return rate
+
+
 def com_height_by_grade(results: Sequence[Result], figure: Figure) -> None:
     """Mean height of the centre of mass above the ground; bars are one standard deviation between trials."""
     figure.set_size_inches(6.2, 4.0)
     axis = figure.subplots()
     for i, result in enumerate(results):
-        there = [(g.grade, height) for g in result.grades if (height := g.summary.com_height) is not None]
+        there = [(g.grade, height) for g in result.grades if (height := _com_height(g.summary)) is not None]
         x = _aside([grade for grade, _ in there], i, len(results), 0.5)
         y = [height.mean for _, height in there]
         spread = [_number(height.std) for _, height in there]
@@ -74,7 +85,7 @@ def com_height_by_grade(results: Sequence[Result], figure: Figure) -> None:
     low, high = axis.get_ylim()
     spare = max(0.0, 0.5 * (LEAST_SPAN - (high - low)))
     axis.set_ylim(low - spare, high + spare)
-    _dress(axis, "nominal grade, degrees", "m", "Centre of mass above the ground, mean and deviation of trials")
+    _label_axis(axis, "nominal grade, degrees", "m", "Centre of mass above the ground, mean and deviation of trials")
     _legend(figure, axis)
 
 
@@ -88,17 +99,17 @@ def success_by_grade(results: Sequence[Result], figure: Figure) -> None:
         for i, result in enumerate(results):
             cells = sorted((c for c in result.cells if c.tier == tier), key=lambda c: c.grade)
             x = _aside([c.grade for c in cells], i, len(results), 0.9)
-            y, bars = _percent([c.summary.success for c in cells])
+            y, bars = _percent([_success(c.summary) for c in cells])
             _points(axis, i, x, y, bars, _label(result))
         axis.set_xticks(grades)
         axis.set_ylim(-4, 104)
         unit = "success, %" if axis is axes[0] else ""
-        _dress(axis, "nominal grade, degrees", unit, f"friction tan(grade) + {tier:g}")
+        _label_axis(axis, "nominal grade, degrees", unit, f"friction tan(grade) + {tier:g}")
     _legend(figure, axes[0])
 
 
 def survival(results: Sequence[Result], figure: Figure) -> None:
-    """Share of trials that got at least so far, a panel for each grade."""
+    """Share of trials that got at least as far as each place, a panel for each grade."""
     grades = sorted({g.grade for result in results for g in result.grades})
     columns = min(4, len(grades))
     rows = -(-len(grades) // columns)
@@ -110,8 +121,8 @@ def survival(results: Sequence[Result], figure: Figure) -> None:
         for i, result in enumerate(results):
             if (there := result.at(grade)) is None:
                 continue
-            y = 100.0 * np.array(there.reached) / there.summary.success.total
-            goal = np.arange(len(y)) * BIN <= result.goal + 1e-6  # nobody walks on from there
+            y = 100.0 * np.array(there.reached) / _success(there.summary).total
+            goal = np.arange(len(y)) * BIN <= result.goal + 1e-6  # trials end there
             axis.plot(BIN * np.arange(len(y))[goal], y[goal], color=_colour(i), linewidth=1.8, label=_label(result))
         for goal_line in {result.goal for result in results}:
             axis.axvline(goal_line, color=INK, linewidth=0.8, linestyle=":")
@@ -119,8 +130,8 @@ def survival(results: Sequence[Result], figure: Figure) -> None:
             _shade(axis, results[0])
         axis.set_xlim(0.0, max(result.goal for result in results) + 0.5)
         axis.set_ylim(-4, 104)
-        _dress(axis, "place, m", "trials, %" if axis is axes[0] else "", f"{grade:g}°")
-    figure.suptitle("Trials that got at least so far; dotted: the goal", fontsize=11, color=INK)
+        _label_axis(axis, "place, m", "trials, %" if axis is axes[0] else "", f"{grade:g}°")
+    figure.suptitle("Trials that got at least this far; dotted: the goal", fontsize=11, color=INK)
     _legend(figure, axes[0])
 
 
@@ -141,15 +152,15 @@ def along_track(results: Sequence[Result], grade: float, figure: Figure) -> None
             shown = x < result.goal  # beyond, there is the last control step of a success and nothing else
             axis.plot(x[shown], y[shown], color=_colour(i), linewidth=1.8, label=_label(result))
         _shade(axis, there[0][1])
-        _dress(axis, "", unit, title)
+        _label_axis(axis, "", unit, title)
     axes[-1].set_xlabel("place along the track, m", fontsize=9, color=INK)
     axes[-1].set_xlim(0.0, sum(segment.length for segment in there[0][1].segments))
-    figure.suptitle(f"Along the track at {grade:g}°, mean over all trials that came there", fontsize=11, color=INK)
+    figure.suptitle(f"Along the track at {grade:g}°, mean over all trials that got there", fontsize=11, color=INK)
     _legend(figure, axes[1])
 
 
 def _ground(axis: Axes, result: Result, grade: float) -> None:
-    """The profile without its surfaces, the segments named."""
+    """Profile of the track without its surfaces, with the names of its segments."""
     ends = [0.0, *accumulate(segment.length for segment in result.segments)]
     rises = (s.length * s.direction * math.tan(math.radians(grade)) for s in result.segments)
     heights = [0.0, *accumulate(rises)]
@@ -171,12 +182,12 @@ def _ground(axis: Axes, result: Result, grade: float) -> None:
             color=INK,
         )
     _shade(axis, result)
-    _dress(axis, "", "m", "")
+    _label_axis(axis, "", "m", "")
     axis.grid(visible=False)
 
 
 def _shade(axis: Axes, result: Result) -> None:
-    """Marks where the track goes up and down."""
+    """Shades the segments that go up and down."""
     start = 0.0
     for segment in result.segments:
         if segment.direction:
@@ -209,7 +220,7 @@ def _label(result: Result) -> str:
 
 
 def _aside(x: Sequence[float], i: int, count: int, step: float) -> Array:
-    """Places of the i-th of `count` methods, a little to the side of each other."""
+    """Places of the i-th of `count` methods, a little beside those of the others."""
     return np.array(x) + step * (i - 0.5 * (count - 1))
 
 
@@ -224,14 +235,11 @@ def _percent(rates: Sequence[Proportion]) -> tuple[Array, Array]:
     return 100.0 * share, 100.0 * np.maximum(bars, 0.0)
 
 
-def _dress(axis: Axes, x: str, y: str, title: str) -> None:
+def _label_axis(axis: Axes, x: str, y: str, title: str) -> None:
     axis.set_title(title, fontsize=9.5, color=INK, loc="left")
     axis.set_xlabel(x, fontsize=9, color=INK)
     axis.set_ylabel(y, fontsize=9, color=INK)
-    axis.grid(color="0.92")
-    axis.set_axisbelow(True)
-    axis.tick_params(labelsize=8, colors=INK)
-    axis.spines[["top", "right"]].set_visible(False)
+    dress(axis)
 
 
 def _legend(figure: Figure, axis: Axes) -> None:
@@ -243,21 +251,7 @@ def _legend(figure: Figure, axis: Axes) -> None:
 
 
 def _write(draw: Callable[[Figure], None], path: Path) -> Path:
-    with _figure() as figure:
-        draw(figure)
-        try:
-            write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=150))
-        except OSError as error:
-            raise UserError(f"cannot write the figure '{path}': {error.strerror or error}.") from None
+    figure = new_figure()
+    draw(figure)
+    save_figure(figure, path, dpi=150)
     return path
-
-
-@contextmanager
-def _figure() -> Iterator[Figure]:
-    """An empty figure, made without pyplot, so that neither a screen nor the backend the user chose matters."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(layout="constrained")
-    FigureCanvasAgg(figure)
-    yield figure

@@ -1,4 +1,4 @@
-"""The results of an evaluation on a track: told for a JSON file, and read back for tables and figures."""
+"""Results of an evaluation on a track: written as JSON, and read back for tables and figures."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humoslope.errors import UserError
-from humoslope.evaluation.track.metrics import BIN
-from humoslope.evaluation.track.summary import Choice, Diagnosis, Outcomes, Summary, diagnose, profile, summarise
+from humoslope.evaluation.track.metrics import BIN, Figure
+from humoslope.evaluation.track.summary import Diagnosis, Outcomes, Summary, diagnose, profile, summarise
 from humoslope.provenance import plain
-from humoslope.statistics import Average, Proportion
+from humoslope.statistics import Average, Bools, Proportion
 from humoslope.terrain.course import Segment
 
 HELD_OUT, SWEEP = "held-out", "sweep"
-"""What a file may hold."""
+"""Kinds of result files."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +27,9 @@ class Cell:
     """Trials of one grade and one friction tier.
 
     Attributes:
-        grade: Nominal, degrees.
-        tier: What the friction coefficient is above tan(grade).
+        grade: Nominal grade, degrees.
+        tier: Friction coefficient less tan(grade).
+        summary: Figures of the trials.
     """
 
     grade: float
@@ -42,10 +42,11 @@ class Grade:
     """Trials of one grade, all friction tiers together.
 
     Attributes:
-        grade: Nominal, degrees.
-        diagnosis: "up", "flat" and "down"; None where nobody was.
-        profile: Values along the track by name, one for each bin of place; None where nobody was.
-        reached: How many trials came at least to each multiple of the bin, from 0 on.
+        grade: Nominal grade, degrees.
+        summary: Figures of the trials.
+        diagnosis: Posture and load by "up", "flat" and "down"; None where no trial came.
+        profile: Values along the track by name, one for each bin of place; None where no trial came.
+        reached: Number of trials that came at least to each multiple of the bin, from 0 on.
     """
 
     grade: float
@@ -57,12 +58,12 @@ class Grade:
 
 @dataclass(frozen=True)
 class Training:
-    """What a checkpoint has behind it, with all that it started from.
+    """Training of a checkpoint and of all that it started from.
 
     Attributes:
         steps: Environment steps of each stage, the first one first.
-        harness: Scale that the training harness still had at the end of the last stage, zero if only earlier
-            stages had one; None if no stage had one.
+        harness: Scale of the training harness at the end of the last stage, zero if only earlier stages had one; None
+            if no stage had one.
     """
 
     steps: tuple[int, ...]
@@ -70,18 +71,50 @@ class Training:
 
 
 @dataclass(frozen=True)
-class Result:
-    """One method's results.
+class TrialSetup:
+    """What the trials on a track were asked to do.
 
     Attributes:
-        name: What tables and figures call it.
-        task: What was trained.
-        training: Of each checkpoint whose trials are in it.
-        finished, trials: Trials that are done, and that there should be.
+        speed: Commanded forward speed along the ground, m/s.
+        start: Mean place of the start, m.
         goal: Place at which a trial succeeds, m.
-        segments: Of the track.
-        grades: In rising order.
-        cells: By grade and tier; those of a sweep only where there are no trials on the track.
+        segments: Segments of the track.
+    """
+
+    speed: float
+    start: float
+    goal: float
+    segments: tuple[Segment, ...]
+
+    def commanded_seconds(self, grade: float) -> float:
+        """Time from start to goal at exactly the commanded speed, s.
+
+        Speed is commanded along the ground, so that slopes take longer than their horizontal length says.
+
+        Args:
+            grade: Nominal grade, degrees.
+        """
+        ground, begin = 0.0, 0.0
+        for segment in self.segments:
+            end = begin + segment.length
+            level = max(0.0, min(end, self.goal) - max(begin, self.start))
+            ground += level / math.cos(math.radians(grade)) if segment.direction else level
+            begin = end
+        return ground / self.speed
+
+
+@dataclass(frozen=True)
+class Result:
+    """Results of one method.
+
+    Attributes:
+        name: Name in tables and figures.
+        task: Task that was trained.
+        training: Training of each checkpoint whose trials are pooled here.
+        finished, trials: Trials that are done, and trials in all.
+        setup: What the trials on the track were asked to do; None for a sweep alone.
+        grades: Results by grade, in rising order.
+        cells: Results by grade and tier; those of a sweep only if there are no trials on the track.
         limit: Steepest grade of the slope-limit sweep, degrees; None if there was no sweep, or no grade was mastered.
         swept: Whether there was a sweep.
         beyond: Whether the limit may lie higher than the sweep went.
@@ -92,8 +125,7 @@ class Result:
     training: tuple[Training, ...]
     finished: int = 0
     trials: int = 0
-    goal: float = 0.0
-    segments: tuple[Segment, ...] = ()
+    setup: TrialSetup | None = None
     grades: tuple[Grade, ...] = ()
     cells: tuple[Cell, ...] = ()
     limit: float | None = None
@@ -101,16 +133,26 @@ class Result:
     beyond: bool = False
 
     @property
+    def goal(self) -> float:
+        """Place at which a trial succeeds, m."""
+        return self.setup.goal if self.setup else 0.0
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """Segments of the track."""
+        return self.setup.segments if self.setup else ()
+
+    @property
     def partial(self) -> bool:
         """Whether trials are missing."""
         return self.finished < self.trials
 
     def at(self, grade: float) -> Grade | None:
-        """The results at a grade, if it was walked."""
+        """Results at a grade; None if there are none."""
         return next((g for g in self.grades if g.grade == grade), None)
 
 
-def tell(
+def to_report(
     outcomes: Outcomes,
     *,
     grades: Sequence[float],
@@ -119,18 +161,19 @@ def tell(
     speed: float,
     mass: float,
 ) -> dict[str, Any]:
-    """What tables and figures need of finished trials, as JSON types. Conditions without a trial are left out.
+    """Finished trials as the JSON types that tables and figures are made from. Conditions without a trial are left out.
 
     Args:
-        grades, tiers: What `grade_index` and `tier_index` count, in degrees and in friction above tan(grade).
-        segments: Of the track.
-        speed: Commanded, m/s.
-        mass: Of the robot, kg.
+        grades, tiers: Conditions that `grade_index` and `tier_index` refer to, in degrees and in friction above
+            tan(grade).
+        segments: Segments of the track.
+        speed: Commanded speed, m/s.
+        mass: Mass of the robot, kg.
     """
     length = sum(segment.length for segment in segments)
     directions = [segment.direction for segment in segments]
 
-    def figures(which: Choice) -> Summary:
+    def figures(which: Bools) -> Summary:
         return summarise(outcomes, which, mass, speed)
 
     by_grade, by_cell = [], []
@@ -138,38 +181,42 @@ def tell(
         there = outcomes.grade_index == g
         if not there.any():
             continue
-        walked = outcomes.metrics[there]
+        recorded = outcomes.metrics[there]
         by_grade.append(
             Grade(
-                grade, figures(there), diagnose(walked, directions), profile(walked), _reached(outcomes, there, length)
+                grade=grade,
+                summary=figures(there),
+                diagnosis=diagnose(recorded, directions),
+                profile=profile(recorded),
+                reached=_reached(outcomes, there, length),
             )
         )
         for t, tier in enumerate(tiers):
             cell = there & (outcomes.tier_index == t)
             if cell.any():
                 by_cell.append(Cell(grade, tier, figures(cell)))
-    told: dict[str, Any] = plain(
+    report: dict[str, Any] = plain(
         {"robot_mass": mass, "segments": list(segments), "grades": by_grade, "cells": by_cell},
     )
-    for cell in told["cells"]:
+    for cell in report["cells"]:
         cell["friction"] = math.tan(math.radians(cell["grade"])) + cell["tier"]
-    return told
+    return report
 
 
-def _reached(outcomes: Outcomes, which: NDArray[np.bool_], length: float) -> list[int]:
+def _reached(outcomes: Outcomes, which: Bools, length: float) -> list[int]:
     edges = np.arange(math.floor(length / BIN + 1e-9) + 1) * BIN
-    # A goal that was reached is reached, whatever single precision made of the place.
+    # Places are in single precision: a goal that was reached must not be missed by rounding.
     return [int(n) for n in (outcomes.max_place[which][:, None] >= edges - 1e-4).sum(axis=0)]
 
 
 def read_results(sources: Sequence[str]) -> list[Result]:
-    """Results out of files, one for each method; a method's sweep joins its trials on the track.
+    """Results from files, one for each method; a method's sweep joins its trials on the track.
 
     Args:
         sources: Files, NAME=FILE, or folders of files. Without a name a method is called by its task.
 
     Raises:
-        UserError: If there is none, or one cannot be read, or two are of the same method.
+        UserError: If there are no results, one cannot be read, or two are of the same method.
     """
     files = [part for source in sources for part in _files(source)]
     results: dict[str, Result] = {}
@@ -179,7 +226,7 @@ def read_results(sources: Sequence[str]) -> list[Result]:
         if old is None:
             results[new.name] = new
         elif old.swept == new.swept:
-            raise UserError(f"'{path}' is the second result of '{new.name}'; tell them apart as NAME=FILE.")
+            raise UserError(f"'{path}' is the second result of '{new.name}'; name them as NAME=FILE.")
         else:
             track, sweep = (old, new) if new.swept else (new, old)
             results[new.name] = replace(track, limit=sweep.limit, swept=True, beyond=sweep.beyond)
@@ -202,15 +249,18 @@ def _read(name: str, path: Path) -> Result:
     except FileNotFoundError:
         raise UserError(f"result '{path}' does not exist.") from None
     except (OSError, UnicodeDecodeError, json.JSONDecodeError):
-        raise UserError(f"'{path}' is no JSON file that can be read.") from None
+        raise UserError(f"'{path}' is not a readable JSON file.") from None
     try:
-        return read_report(report, name)
+        return from_report(report, name)
     except (KeyError, TypeError, IndexError):
-        raise UserError(f"'{path}' is no result of `humoslope evaluate`, or one of another version.") from None
+        raise UserError(f"'{path}' is not a result of `humoslope evaluate`, or of another version.") from None
 
 
-def read_report(report: Mapping[str, Any], name: str = "") -> Result:
-    """The result that `humoslope evaluate` has told; without a name it is called by its task.
+def from_report(report: Mapping[str, Any], name: str = "") -> Result:
+    """The result in a report of `humoslope evaluate`.
+
+    Args:
+        name: Name of the method; by default its task.
 
     Raises:
         KeyError, TypeError, IndexError: If it is something else.
@@ -226,14 +276,19 @@ def read_report(report: Mapping[str, Any], name: str = "") -> Result:
         cells=tuple(Cell(c["grade"], c["tier"], _summary(c["summary"])) for c in report["cells"]),
     )
     if report["what"] == SWEEP:
-        limit = report["slope_limit"] or {"grade": None, "beyond": False}  # of a partial sweep there is none yet
+        limit = report["slope_limit"] or {"grade": None, "beyond": False}  # a partial sweep has none yet
         return replace(result, swept=True, limit=limit["grade"], beyond=limit["beyond"])
     if report["what"] != HELD_OUT:
         raise KeyError("what")
+    protocol = report["protocol"]
     return replace(
         result,
-        goal=report["protocol"]["success_place"],
-        segments=tuple(Segment(**s) for s in report["segments"]),
+        setup=TrialSetup(
+            speed=protocol["speed"],
+            start=protocol["start_place"],
+            goal=protocol["success_place"],
+            segments=tuple(Segment(**s) for s in report["segments"]),
+        ),
         grades=tuple(sorted((_grade(g) for g in report["grades"]), key=lambda g: g.grade)),
     )
 
@@ -247,11 +302,19 @@ def _training(checkpoint: Mapping[str, Any]) -> Training:
     return Training((*before.steps, checkpoint["total_steps"]), harness)
 
 
-def _grade(told: Mapping[str, Any]) -> Grade:
-    diagnosis = {name: None if d is None else Diagnosis(**d) for name, d in told["diagnosis"].items()}
-    return Grade(told["grade"], _summary(told["summary"]), diagnosis, told["profile"], told["reached"])
+def _grade(report: Mapping[str, Any]) -> Grade:
+    diagnosis = {name: None if d is None else Diagnosis(**d) for name, d in report["diagnosis"].items()}
+    return Grade(report["grade"], _summary(report["summary"]), diagnosis, report["profile"], report["reached"])
 
 
-def _summary(told: Mapping[str, Any]) -> Summary:
-    averages = {name: Average(**value) for name, value in told.items() if isinstance(value, dict) and "mean" in value}
-    return Summary(**{**told, **averages, "success": Proportion(**told["success"])})
+def _summary(report: Mapping[str, Any]) -> Summary:
+    """Figures by name. A proportion has a count, an average a mean, and everything else is a number or None."""
+
+    def figure(value: Any) -> Figure:
+        if isinstance(value, Mapping):
+            return Proportion(**value) if "count" in value else Average(**value)
+        if value is not None and not isinstance(value, int | float):
+            raise TypeError(value)
+        return value
+
+    return {name: figure(value) for name, value in report.items()}

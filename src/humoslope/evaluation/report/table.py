@@ -1,4 +1,4 @@
-"""A table of figures, once, for the screen, for Markdown, for CSV and for JSON."""
+"""Tables of figures, written to the screen, Markdown, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -16,17 +16,20 @@ from humoslope.statistics import Average, Proportion
 
 Value = float | Proportion | Average | str | None
 
+STYLES = {"ours": "", "paper": "dim italic", "reference": "italic"}
+"""Style of a row on the screen by its source."""
+
 
 @dataclass(frozen=True)
 class Column:
     """A column of figures.
 
     Attributes:
-        label: What it holds.
-        unit: "" if it has none.
-        digits: After the point.
-        group: What a label is of, such as a grade, if there are several columns of that label.
-        interval: Whether figures of ours have bounds: its values are proportions or averages.
+        label: Heading.
+        unit: Unit of its figures; "" if they have none.
+        digits: Number of decimals.
+        group: Heading over several columns, such as a grade, that tells columns of one label apart.
+        interval: Whether our figures have bounds, i.e. are proportions or averages.
     """
 
     label: str
@@ -37,7 +40,7 @@ class Column:
 
     @property
     def title(self) -> str:
-        """In one line."""
+        """Heading in one line."""
         return " ".join(part for part in (self.group, self.label, self.unit) if part)
 
 
@@ -46,25 +49,25 @@ class Row:
     """A row of figures.
 
     Attributes:
-        name: Of the method.
-        note: What must be known to read it, such as how it was trained.
-        values: One for each column; a proportion is shown in percent.
-        paper: Whether it is the paper's, and not measured here.
-        partial: How much of it has been measured, if not all.
-        more: Whether it is one more row of the method above, whose name need not be said again on the screen.
+        name: Name of the method.
+        note: Remark that is needed to read it, such as how the method was trained.
+        values: One figure for each column; a proportion is shown in percent.
+        source: "ours" if measured here, "paper" if printed in the paper, "reference" if computed to compare with.
+        partial: How much has been measured, if not all.
+        more: Whether it is a further row of the method above, whose name is not repeated on the screen.
     """
 
     name: str
     note: str
     values: tuple[Value, ...]
-    paper: bool = False
+    source: Literal["ours", "paper", "reference"] = "ours"
     partial: str = ""
     more: bool = False
 
     @property
     def title(self) -> str:
-        """The name, said to be the paper's or partial."""
-        name = f"paper: {self.name}" if self.paper else self.name
+        """The name, marked as the paper's or as partial."""
+        name = f"paper: {self.name}" if self.source == "paper" else self.name
         return f"{name} (partial: {self.partial})" if self.partial else name
 
 
@@ -73,8 +76,9 @@ class Sheet:
     """A table.
 
     Attributes:
-        title: What it shows.
-        notes: What must be known to read it.
+        title: Heading of the table.
+        columns, rows: Its contents.
+        notes: Remarks below it.
     """
 
     title: str
@@ -83,7 +87,7 @@ class Sheet:
     notes: tuple[str, ...] = field(default=())
 
     def to_rich(self) -> Table:
-        """For the screen; a rule comes before each method of ours."""
+        """The table for the screen, with a rule before each method of ours."""
         table = Table(title=self.title, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
         table.caption, table.caption_justify = "\n".join(self.notes), "left"
         table.add_column("\nmethod", no_wrap=True)
@@ -93,32 +97,32 @@ class Sheet:
             table.add_column("\n".join(head), justify="right", no_wrap=True)
             group = column.group
         for i, row in enumerate(self.rows):
-            style = "dim italic" if row.paper else "yellow" if row.partial else ""
+            style = "yellow" if row.partial else STYLES[row.source]
             cells = (_lines(value, column) for value, column in zip(row.values, self.columns, strict=True))
-            last = i + 1 == len(self.rows) or not (self.rows[i + 1].paper or self.rows[i + 1].more)
+            last = i + 1 == len(self.rows) or not (self.rows[i + 1].source == "paper" or self.rows[i + 1].more)
             name = "\n".join(filter(None, (row.title.replace(" (partial", "\n(partial"), row.note)))
             table.add_row("" if row.more else name, *cells, style=style, end_section=last)
         return table
 
     def show(self) -> None:
-        """Prints it. A terminal too narrow wraps its lines; a table squeezed into it would lose figures."""
+        """Prints the table. A terminal that is too narrow wraps its lines; a squeezed table would lose figures."""
         table = self.to_rich()
         width = Console(width=1000).measure(table).maximum
         Console(width=max(Console().width, width)).print(table)
 
     def to_markdown(self) -> str:
-        """For a file that people read."""
+        """The table as Markdown."""
         lines = [f"**{self.title}**", ""]
         lines.append(_markdown_row(["method", "training", *(column.title for column in self.columns)]))
         lines.append(_markdown_row(["---", "---", *("---:" for _ in self.columns)]))
         for row in self.rows:
             cells = (_lines(value, column) for value, column in zip(row.values, self.columns, strict=True))
             shown = [row.title, row.note, *(cell.replace("\n", " (") + ")" * ("\n" in cell) for cell in cells)]
-            lines.append(_markdown_row([f"*{cell}*" if row.paper and cell else cell for cell in shown]))
+            lines.append(_markdown_row([f"*{cell}*" if row.source != "ours" and cell else cell for cell in shown]))
         return "\n".join([*lines, "", *(f"{note}  " for note in self.notes)]).rstrip() + "\n"
 
     def to_csv(self) -> str:
-        """For a program: full precision, empty where there is no figure; with bounds; proportions in percent."""
+        """The table as CSV: full precision with bounds, empty where there is no figure, proportions in percent."""
         out = io.StringIO()
         records = self.records()
         writer = csv.DictWriter(out, fieldnames=list(records[0]) if records else [], lineterminator="\n")
@@ -127,15 +131,15 @@ class Sheet:
         return out.getvalue()
 
     def to_json(self) -> str:
-        """As `to_csv`, with the notes."""
+        """The table as JSON: as `to_csv`, with the notes."""
         whole = {"title": self.title, "notes": self.notes, "rows": self.records()}
         return json.dumps(whole, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
     def records(self) -> list[dict[str, Any]]:
-        """Every row as names and values, all with the same names."""
+        """Every row as a mapping from names to values; all rows have the same names."""
         return [
             {
-                "source": "paper" if row.paper else "ours",
+                "source": row.source,
                 "method": row.name,
                 "training": row.note,
                 "partial": row.partial,
@@ -150,7 +154,7 @@ class Sheet:
 
 
 def _lines(value: Value, column: Column) -> str:
-    """A cell; an interval is in a second line, that of an average with one more digit."""
+    """Text of a cell; an interval is in a second line, that of an average with one more digit."""
     if value is None:
         return "-"
     if isinstance(value, str):
@@ -165,7 +169,7 @@ def _lines(value: Value, column: Column) -> str:
 
 
 def _fields(value: Value, column: Column) -> dict[str, float | str | None]:
-    """What a cell is in a record. Columns with intervals have their bounds beside them, also where there are none."""
+    """Entries of a cell in a record. A column with intervals has its bounds beside it, even where they are missing."""
     middle: float | str | None
     low = high = None
     if isinstance(value, Proportion):

@@ -1,92 +1,122 @@
-"""The paper's tables with our figures in them, and the paper's below each of ours."""
+"""The paper's tables with our figures, and the paper's below each of ours."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 from humoslope.evaluation.report.paper import Paper, PaperRow
-from humoslope.evaluation.report.results import Grade, Result
+from humoslope.evaluation.report.results import Grade, Result, TrialSetup
 from humoslope.evaluation.report.table import Column, Row, Sheet, Value
-from humoslope.evaluation.track.summary import DIRECTIONS
+from humoslope.evaluation.track.metrics import GROUPS, REPORTED
+from humoslope.evaluation.track.summary import DIRECTIONS, Summary
 
 GRADES = (0.0, 10.0, 20.0, 30.0)
-"""Degrees; the paper's four nominal grades, shown where nothing was walked."""
+"""Degrees; the paper's four nominal grades, shown if there are no results."""
 PAPER_NOTE = "paper: as printed there, on another track in another simulator; its training budget is not stated."
 SR_NOTE = "SR: share of trials that reach the goal, with Wilson's 95 % interval; all friction tiers together."
 MEAN_NOTE = "±: 95 % of the mean over trials of this policy on this track, by Student's t."
-SPEED_NOTE = "T_trav is over successes. At the commanded 0.5 m/s it is about 62 s; less is over-speed, not precision."
+AT_SPEED = "at the commanded speed"
+"""Name of the row with the time that the commanded speed takes."""
 
-TASK_COLUMNS = (
-    Column("SR", "%", 1, interval=True),
-    Column("MXD", "m", interval=True),
-    Column("T_trav", "s", 1, interval=True),
-)
-TASK_KEYS = ("sr", "mxd", "t_trav")
+TASK = ("success", "max_distance", "traversal_s")
+"""Metrics of table 1, and the first ones of table 2."""
+ABLATION = (*TASK, "cost_of_transport", "yaw_rate_variance", "com_height", "knee_peak")
+"""Metrics of table 2 that the paper has."""
+MORE = ("knee_p99", "speed", "speed_error")
+"""Metrics that the paper does not have, beside them."""
+
+
+def _columns(names: Sequence[str], group: str = "") -> list[Column]:
+    """A column for each metric of these names."""
+    metrics = [REPORTED[name] for name in names]
+    return [Column(m.label, m.unit, m.digits, group, m.interval) for m in metrics]
+
+
+def _ours(summary: Summary | None, names: Sequence[str]) -> list[Value]:
+    """Figures of these metrics; None where a result does not have one."""
+    return [None if summary is None else summary.get(name) for name in names]
+
+
+def _theirs(row: PaperRow, grade: float, names: Sequence[str]) -> list[Value]:
+    """The paper's figures of these metrics at a grade."""
+    figures = row.grades.get(grade, {})
+    return [figures.get(REPORTED[name].paper) for name in names]
 
 
 def main_table(results: Sequence[Result], paper: Paper) -> Sheet:
     """Table 1: success rate, furthest distance and time at each grade, and the steepest grade."""
-    grades = sorted({there.grade for result in results for there in result.grades}) or list(GRADES)
-    columns = [replace(column, group=f"{grade:g}°") for grade in grades for column in TASK_COLUMNS]
+    grades = sorted({at.grade for result in results for at in result.grades}) or list(GRADES)
 
-    def ours(result: Result) -> tuple[Value, ...]:
-        figures = [value for grade in grades for value in _task_figures(result.at(grade))]
-        return (*figures, result.limit)
+    def ours(result: Result) -> list[Value]:
+        return [figure for grade in grades for figure in _ours(_summary(result.at(grade)), TASK)] + [result.limit]
 
-    def theirs(row: PaperRow) -> tuple[Value, ...]:
-        figures = [row.grades.get(grade, {}).get(key) for grade in grades for key in TASK_KEYS]
-        return (*figures, row.max_grade)
+    def theirs(row: PaperRow) -> list[Value]:
+        return [figure for grade in grades for figure in _theirs(row, grade, TASK)] + [row.max_grade]
 
-    notes = [SR_NOTE, MEAN_NOTE, SPEED_NOTE, "Max grade: steepest with SR of 50 % and more in the slope-limit sweep."]
-    notes += [f"{r.name}: the sweep ends there, the limit may be higher." for r in results if r.beyond]
+    notes = [
+        SR_NOTE,
+        MEAN_NOTE,
+        *_time_notes(results, grades),
+        "Max grade: steepest with SR of 50 % and more in the slope-limit sweep.",
+        *(f"{r.name}: the sweep ends there, the limit may be higher." for r in results if r.beyond),
+    ]
+    columns = [column for grade in grades for column in _columns(TASK, f"{grade:g}°")]
+    rows = _beside(results, paper.main, ours, theirs)
     return Sheet(
         title="Held-out slope tracks (paper, table 1)",
         columns=(*columns, Column("max grade", "°", 0)),
-        rows=_beside(results, paper.main, ours, theirs),
+        rows=(*(_at_speed(setup, grades, TASK, after=1) for setup in _setups(results)), *rows),
         notes=(*notes, PAPER_NOTE, *_partial_note(results)),
     )
 
 
-ABLATION_COLUMNS = (
-    Column("CoT", digits=3),
-    Column("σ²_yaw", "rad²/s²", 4, interval=True),
-    Column("h_com", "m", 3, interval=True),
-    Column("τ_knee", "Nm", 1, interval=True),
-)
-ABLATION_KEYS = ("cot", "yaw_rate_variance", "com_height", "knee_peak")
-OUR_COLUMNS = (
-    Column("τ p99", "Nm", 1),
-    Column("speed", "m/s", 3, interval=True),
-    Column("error", "m/s", 3, interval=True),
-)
-"""What the paper does not tell."""
+def _setups(results: Sequence[Result]) -> list[TrialSetup]:
+    """The different setups of the results, in their order."""
+    return list(dict.fromkeys(result.setup for result in results if result.setup is not None))
+
+
+def _at_speed(setup: TrialSetup, grades: Sequence[float], names: Sequence[str], after: int) -> Row:
+    """Row with the time that the commanded speed takes.
+
+    Args:
+        names: Metrics of the columns at each grade.
+        after: Columns after those.
+    """
+    figures = [setup.commanded_seconds(g) if name == "traversal_s" else None for g in grades for name in names]
+    note = f"{setup.speed:g} m/s along the ground to {setup.goal:g} m"
+    return Row(AT_SPEED, note, (*figures, *(None,) * after), source="reference")
+
+
+def _time_notes(results: Sequence[Result], grades: Sequence[float]) -> list[str]:
+    """Remarks on T_trav and MXD, with the time at each grade that the commanded speed takes."""
+    notes = ["T_trav: over successes. Less than the time at the commanded speed is over-speed, not precision."]
+    for setup in _setups(results):
+        times = ", ".join(f"{setup.commanded_seconds(grade):.1f} s at {grade:g}°" for grade in grades)
+        notes.append(
+            f"The commanded {setup.speed:g} m/s along the ground take {times}. A success ends a trial, so MXD stops at "
+            f"{setup.goal:g} m here; some of the paper's go on to 32.2 m."
+        )
+    return notes
 
 
 def ablation_table(results: Sequence[Result], paper: Paper, grade: float = 20.0) -> Sheet:
     """Table 2: task performance, efficiency, stability, posture and load at one grade, by default the paper's."""
 
-    def ours(result: Result) -> tuple[Value, ...]:
-        there = result.at(grade)
-        if there is None:
-            return (None,) * (len(TASK_KEYS) + len(ABLATION_COLUMNS) + len(OUR_COLUMNS))
-        s = there.summary
-        diagnostics = (s.cost_of_transport, s.yaw_rate_variance, s.com_height, s.knee_peak)
-        return (*_task_figures(there), *diagnostics, s.knee_p99, s.speed, s.speed_error)
+    def ours(result: Result) -> list[Value]:
+        return _ours(_summary(result.at(grade)), (*ABLATION, *MORE))
 
-    def theirs(row: PaperRow) -> tuple[Value, ...]:
-        figures = row.grades.get(grade, {})
-        return (*(figures.get(key) for key in (*TASK_KEYS, *ABLATION_KEYS)), *(None for _ in OUR_COLUMNS))
+    def theirs(row: PaperRow) -> list[Value]:
+        return [*_theirs(row, grade, ABLATION), *(None for _ in MORE)]
 
     return Sheet(
         title=f"Variants at {grade:g}° (paper, table 2)",
-        columns=(*TASK_COLUMNS, *ABLATION_COLUMNS, *OUR_COLUMNS),
+        columns=tuple(_columns((*ABLATION, *MORE))),
         rows=_beside(results, paper.ablation if grade == paper.ablation_grade else (), ours, theirs),
         notes=(
             SR_NOTE,
             MEAN_NOTE,
-            SPEED_NOTE,
+            *_time_notes(results, [grade]),
             "CoT: sum of |torque x velocity| over weight and forward way, all trials. τ_knee: mean of trials' peaks.",
             "h_com: above the ground below the centre of mass. error: of a trial's mean speed from the commanded one.",
             PAPER_NOTE,
@@ -99,15 +129,8 @@ DIAGNOSTIC_COLUMNS = (
     Column("on"),
     Column("torso pitch", "°", 1),
     Column("knee flexion", "°", 1),
-    Column("hip", "Nm", 1, group="torque"),
-    Column("knee", "Nm", 1, group="torque"),
-    Column("ankle", "Nm", 1, group="torque"),
-    Column("hip", digits=2, group="work +"),
-    Column("knee", digits=2, group="work +"),
-    Column("ankle", digits=2, group="work +"),
-    Column("hip", digits=2, group="work -"),
-    Column("knee", digits=2, group="work -"),
-    Column("ankle", digits=2, group="work -"),
+    *(Column(joint, "Nm", 1, group="torque") for joint in GROUPS),
+    *(Column(joint, group=sign) for sign in ("work +", "work -") for joint in GROUPS),
 )
 
 
@@ -142,60 +165,17 @@ def diagnostics_table(results: Sequence[Result], grade: float = 20.0) -> Sheet:
     )
 
 
-CELL_COLUMNS = (
-    Column("grade", "°", 0),
-    Column("friction"),
-    *TASK_COLUMNS,
-    Column("fell", digits=0),
-    Column("left", digits=0),
-    Column("timed out", digits=0),
-    Column("speed", "m/s", 3, interval=True),
-    Column("error", "m/s", 3, interval=True),
-    Column("RMS", "m/s", 3),
-    Column("CoT", digits=3),
-    Column("CoT of successes", digits=3),
-    Column("CoT +", digits=3),
-    Column("σ²_yaw", "rad²/s²", 4, interval=True),
-    Column("h_com", "m", 3, interval=True),
-    Column("h_root", "m", 3, interval=True),
-    Column("τ_knee", "Nm", 1, interval=True),
-    Column("τ max", "Nm", 1),
-    Column("τ p99", "Nm", 1),
-)
-
-
 def cells_table(results: Sequence[Result]) -> Sheet:
-    """Every figure at each grade and friction."""
+    """Every reported metric at each grade and friction."""
     rows = []
     for result in results:
         for i, cell in enumerate(result.cells):
-            s = cell.summary
-            values: tuple[Value, ...] = (
-                cell.grade,
-                math.tan(math.radians(cell.grade)) + cell.tier,
-                s.success,
-                s.max_distance,
-                s.traversal_s,
-                s.fell,
-                s.left,
-                s.timed_out,
-                s.speed,
-                s.speed_error,
-                s.speed_rms_error,
-                s.cost_of_transport,
-                s.cost_of_transport_successes,
-                s.cost_of_transport_positive,
-                s.yaw_rate_variance,
-                s.com_height,
-                s.root_height,
-                s.knee_peak,
-                s.knee_max,
-                s.knee_p99,
-            )
+            friction = math.tan(math.radians(cell.grade)) + cell.tier
+            values = (cell.grade, friction, *_ours(cell.summary, list(REPORTED)))
             rows.append(Row(result.name, _training(result), values, partial=_partial(result), more=i > 0))
     return Sheet(
         title="By grade and friction",
-        columns=CELL_COLUMNS,
+        columns=(Column("grade", "°", 0), Column("friction"), *_columns(list(REPORTED))),
         rows=tuple(rows),
         notes=(
             MEAN_NOTE,
@@ -205,27 +185,25 @@ def cells_table(results: Sequence[Result]) -> Sheet:
     )
 
 
+def _summary(at: Grade | None) -> Summary | None:
+    return None if at is None else at.summary
+
+
 def _beside(
     results: Sequence[Result],
     printed: Sequence[PaperRow],
-    ours: Callable[[Result], tuple[Value, ...]],
-    theirs: Callable[[PaperRow], tuple[Value, ...]],
+    ours: Callable[[Result], Sequence[Value]],
+    theirs: Callable[[PaperRow], Sequence[Value]],
 ) -> tuple[Row, ...]:
-    """Our rows with the paper's below each, and then those of the paper that none of ours stands for."""
+    """Our rows with the corresponding ones of the paper below each, and then the other rows of the paper."""
     rows, left = [], list(printed)
     for result in results:
-        rows.append(Row(result.name, _training(result), ours(result), partial=_partial(result)))
+        rows.append(Row(result.name, _training(result), tuple(ours(result)), partial=_partial(result)))
         for row in printed:
             if row.matches(result):
-                rows.append(Row(row.name, "", theirs(row), paper=True))
+                rows.append(Row(row.name, "", tuple(theirs(row)), source="paper"))
                 left = [other for other in left if other is not row]
-    return (*rows, *(Row(row.name, "", theirs(row), paper=True) for row in left))
-
-
-def _task_figures(there: Grade | None) -> tuple[Value, ...]:
-    if there is None:
-        return (None,) * len(TASK_KEYS)
-    return there.summary.success, there.summary.max_distance, there.summary.traversal_s
+    return (*rows, *(Row(row.name, "", tuple(theirs(row)), source="paper") for row in left))
 
 
 def _training(result: Result) -> str:

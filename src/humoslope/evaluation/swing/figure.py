@@ -1,4 +1,4 @@
-"""The calibration as a picture: where hip flexion lies in each bin, its percentile, the fit and the prior."""
+"""Figure of a swing calibration: density of hip flexion in each bin, its percentile, the fit and the prior."""
 
 from __future__ import annotations
 
@@ -9,34 +9,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from humoslope.errors import UserError
 from humoslope.evaluation.swing.fit import Fit, SwingFit
 from humoslope.evaluation.swing.walk import SwingSamples
-from humoslope.files import write_atomically
+from humoslope.plotting import INK, dress, new_figure, save_figure
 from humoslope.slope.swing import PRIOR, SwingCalibration
 from humoslope.statistics import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-INK, FIT, POINT, PRIOR_INK = "#333333", "#b03a2e", "#1f4e5f", "#8a8a8a"
+FIT, POINT, PRIOR_INK = "#b03a2e", "#1f4e5f", "#8a8a8a"
 CLOUD_STEP, COLUMN = 0.004, 0.8
 """Height of a cell of the density, rad, and its width as a share of a bin."""
 
 
 def draw(samples: SwingSamples, found: SwingFit, fit: Fit, title: str, out: Path) -> None:
-    """Writes the picture: samples, percentiles, fit and prior above; what the fit leaves over below.
+    """Writes the figure: samples, percentiles, fit and prior above, residuals below.
 
     Raises:
         UserError: If it cannot be written.
     """
-    # Drawn without pyplot, so that neither a screen nor the backend the user chose matters.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.5, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(f"Hip flexion of the swing leg, {title}", color=INK, fontsize=13)
+    figure = new_figure(9.5, 7.5, f"Hip flexion of the swing leg, {title}")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
     _draw_cloud(above, samples, fit)
     _draw_fit(above, found, fit)
@@ -44,18 +37,12 @@ def draw(samples: SwingSamples, found: SwingFit, fit: Fit, title: str, out: Path
     _draw_residuals(below, found)
     below.set_xlabel("slope of the ground in the heading direction, degrees", fontsize=10, color=INK)
     for axis in (above, below):
-        axis.grid(color="0.92")
-        axis.set_axisbelow(True)
-        axis.tick_params(labelsize=9, colors=INK)
-        axis.spines[["top", "right"]].set_visible(False)
-    try:
-        write_atomically(out, lambda temporary: figure.savefig(temporary, dpi=130))
-    except (OSError, ValueError) as error:
-        raise UserError(f"cannot write the picture to '{out}': {error}.") from None
+        dress(axis, 9)
+    save_figure(figure, out)
 
 
 def _draw_cloud(axis: Axes, samples: SwingSamples, fit: Fit) -> None:
-    """Where the samples lie, one column for each bin; a column's darkest cell holds most of it."""
+    """Density of the samples, one column for each bin; the darkest cell of a column holds the most samples."""
     from matplotlib.colors import LinearSegmentedColormap
 
     slope = np.degrees(samples.slope)

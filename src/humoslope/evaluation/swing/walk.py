@@ -16,7 +16,7 @@ from torch import Tensor
 
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError, require_positive
-from humoslope.evaluation.common import roll
+from humoslope.evaluation.common import rollout
 from humoslope.evaluation.ramps import APPROACH, RampProtocol
 from humoslope.mdp.bsga import HIP_PITCH
 from humoslope.mdp.bsga_memory import SWING_FORCE, SWING_LONGEST, SWING_SETTLE, Swing
@@ -174,5 +174,5 @@ def walk(
             ended=ended,
         )
 
-    roll(env, policy, protocol.seconds, record, on_step)
+    rollout(env, policy, protocol.seconds, record, on_step)
     return recorder.samples()

@@ -1,1 +1,1 @@
-"""The held-out track: protocol, trials, metrics, and the store that an evaluation goes on from."""
+"""The held-out track: protocol, trials, metrics, and the store from which an evaluation continues."""

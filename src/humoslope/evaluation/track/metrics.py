@@ -1,299 +1,264 @@
-"""What is measured of a walk along a track, control step by control step, trial by trial.
+"""Definitions of the figures of a track evaluation. A new metric is one more entry of `METRICS`, and nothing else.
 
-Everything is gathered on the device: worlds are given new trials while others still walk, so sums are kept by trial and
-not by world. What the figures of a table are made of is in `TrackTrials`; how they are made of it, in `summary`.
+A metric with a `sample` is recorded: at every control step the recorder takes the sample of each env and combines the
+samples of a trial. A metric with a `reduce` is reported: it turns a set of trials into one figure, which appears in the
+result file and in the table by cell, and, where a table names it, in that table.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from humoslope.mdp.selection import joint_mask
-from humoslope.scene.robot import Robot
-from humoslope.slope import quaternion
-from humoslope.statistics import Array
+from humoslope.slope.zmp import GRAVITY
+from humoslope.statistics import Array, Average, Bools, Proportion, average, largest, proportion
 
 if TYPE_CHECKING:
-    from humoslope.env import ManagerBasedRlEnv as Env
+    from humoslope.evaluation.track.recorder import StepSample, TrackTrials
+
+METRICS_VERSION = 1
+"""Version of all definitions in this file and in `recorder`, part of the fingerprint of saved trials.
+
+Raise it whenever a recorded number changes its meaning while its name stays: another sample, another way of combining
+samples, another settling time, another bin. Trials saved under another version are run again and never pooled with new
+ones. Adding, removing or renaming a recorded metric needs no new version: the names are in the fingerprint too. Nor
+does a change of `reduce`, which is applied anew whenever results are written.
+"""
 
 SETTLE_S = 1.0
 """Time before averages over time begin, s: the robot starts from rest. Energy and peaks count from the start."""
 BIN = 0.5
-"""Extent of a bin of place, m, for what is drawn along the track."""
+"""Extent of a bin of place, m, for profiles along the track."""
 TORQUE_BIN = 1.0
 """Resolution of quantiles of the knee torque, Nm."""
-GROUPS = ("hip", "knee", "ankle")
-PROFILE = ("hip_torque", "knee_flexion", "com_height", "torso_pitch")
-"""What is kept along the track."""
+GROUPS = {"hip": ".*hip_pitch.*", "knee": ".*knee.*", "ankle": ".*ankle_pitch.*"}
+"""Joints that bend a leg in the plane of walking, both legs in each group, as regular expressions on whole names.
+Bending a knee is positive."""
+LEAST_WAY = 1.0
+"""Mean distance of trials below which no cost of transport is reported, m: it divides by the distance."""
+
+Figure = Proportion | Average | float | None
+"""A figure of a set of trials; None where nothing was measured."""
 
 
 @dataclass(frozen=True)
-class JointGroups:
-    """The joints that bend a leg in the plane of walking, by regular expressions on whole names, both legs in each.
-
-    Bending a knee is positive.
-    """
-
-    hip: str = ".*hip_pitch.*"
-    knee: str = ".*knee.*"
-    ankle: str = ".*ankle_pitch.*"
-
-
-@dataclass
-class StepSample:
-    """What one control step shows, of M worlds.
+class TrialSet:
+    """Finished trials that one figure is computed from; all arrays are [T].
 
     Attributes:
-        place: [M] along the track, m from its start.
-        segment: [M] int64 index of the segment there.
-        speed: [M] of the root forward along the ground, m/s.
-        yaw_rate: [M] of the root about the vertical, rad/s.
-        com_height: [M] centre of mass above the ground right below it, m.
-        root_height: [M] root above the ground below it, m.
-        torso_pitch: [M] lean of the torso in the heading direction, rad, positive forward.
-        joint_pos, joint_vel, joint_torque: [M, J] rad, rad/s, Nm.
+        metrics: Recorded values.
+        success, fell, left, timed_out: How the trials ended.
+        seconds: Duration, s; of a success, until the goal.
+        max_place: Furthest place on the track, m from its start.
+        mass: Mass of the robot, kg.
+        commanded: Commanded speed, m/s.
     """
 
-    place: Tensor
-    segment: Tensor
-    speed: Tensor
-    yaw_rate: Tensor
-    com_height: Tensor
-    root_height: Tensor
-    torso_pitch: Tensor
-    joint_pos: Tensor
-    joint_vel: Tensor
-    joint_torque: Tensor
+    metrics: TrackTrials
+    success: Bools
+    fell: Bools
+    left: Bools
+    timed_out: Bools
+    seconds: Array
+    max_place: Array
+    mass: float
+    commanded: float
 
-    @classmethod
-    def read(cls, env: Env, place: Tensor, segment: Tensor) -> StepSample:
-        """The sample of all worlds at the present instant, at these places [N] and segments [N]."""
-        s = env.signals
-        up = torch.zeros_like(s.root_pos_w)
-        up[:, 2] = 1.0
-        torso_up_w = quaternion.rotate(s.torso_quat_w, up)
-        forward = s.heading_w.cos() * torso_up_w[:, 0] + s.heading_w.sin() * torso_up_w[:, 1]
-        return cls(
-            place=place,
-            segment=segment,
-            speed=s.root_lin_vel_t[:, 0],
-            yaw_rate=-(s.projected_gravity_b * s.root_ang_vel_b).sum(dim=1),
-            com_height=s.com_pos_w[:, 2] - env.terrain.height(s.com_pos_w[:, :2]),
-            root_height=s.root_height,
-            torso_pitch=torch.atan2(forward, torso_up_w[:, 2]),
-            joint_pos=s.joint_pos,
-            joint_vel=s.joint_vel,
-            joint_torque=s.joint_torque,
-        )
+    def recorded(self, name: str) -> Array:
+        """Values [T] of the recorded metric `name`; NaN where a trial ended before it had settled."""
+        return self.metrics.values[name]
 
 
 @dataclass(frozen=True)
-class TrackTrials:
-    """T trials on the host. Averages over time are NaN where a trial ended before it had settled.
+class Metric:
+    """A figure of the track.
 
     Attributes:
-        samples: [T] control steps after settling.
-        distance: [T] from the first sample's place to the last one's, m; NaN for a trial without any.
-        work: [T] sum over joints and the time between these samples of |torque x velocity|, J.
-        positive_work: [T] the same of torque x velocity where it is positive, J.
-        speed: [T] mean forward speed along the ground, m/s.
-        squared_error: [T] summed squared difference of that speed from the commanded one, (m/s)^2.
-        yaw_rate_variance: [T] of the yaw rate over the time after settling, (rad/s)^2.
-        com_height, root_height: [T] mean heights above the ground below, m.
-        knee_peak: [T] largest |torque| of either knee at any control step, Nm.
-        knee_histogram: [T, bins] int32; control steps, counted for each knee, with |torque| in each `TORQUE_BIN`.
-        segment_samples: [T, segments] control steps after settling.
-        segment_pitch, segment_flexion: [T, segments] torso pitch and mean flexion of both knees, summed over them, rad.
-        segment_torque: [T, segments, groups] |torque| of a joint of each of `GROUPS`, summed over them, Nm.
-        segment_positive, segment_negative: [T, segments, groups] work of each group's joints where it is positive, and
-            where it is negative (as a positive number), J.
-        profile_samples: [T, bins] control steps after settling in each `BIN` of place.
-        profile: [T, bins, PROFILE] values summed over them; Nm of one hip, rad, m, rad.
+        name: Key in saved trials and in result files.
+        label, unit, digits: Heading and number of decimals of its column.
+        sample: Value of each env at one control step, [M]; None if the metric is computed from other recorded values.
+        combine: How the samples of a trial become its value. "mean", "variance" and "sum" are over the control steps
+            after `SETTLE_S`; "integral" is over the time between the first and the last sample (in the sample's unit
+            times s); "max" is over all samples.
+        reduce: Figure of a set of trials; None for a metric that is recorded for others to use and not reported.
+        interval: Whether the figure has bounds, i.e. is a `Proportion` or an `Average`.
+        paper: Key of the same figure in the transcription of the paper's tables; "" if the paper does not have it.
     """
 
-    samples: Array
-    distance: Array
-    work: Array
-    positive_work: Array
-    speed: Array
-    squared_error: Array
-    yaw_rate_variance: Array
-    com_height: Array
-    root_height: Array
-    knee_peak: Array
-    knee_histogram: NDArray[np.int32]
-    segment_samples: Array
-    segment_pitch: Array
-    segment_flexion: Array
-    segment_torque: Array
-    segment_positive: Array
-    segment_negative: Array
-    profile_samples: Array
-    profile: Array
-
-    def __len__(self) -> int:
-        return len(self.samples)
-
-    def __getitem__(self, which: slice | NDArray[Any]) -> TrackTrials:
-        """The trials chosen by a slice, a mask or numbers."""
-        return TrackTrials(**{name: value[which] for name, value in self.arrays().items()})
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """All arrays by name, as `numpy.savez` takes them; `TrackTrials(**arrays)` gives the trials back."""
-        return dict(vars(self))
-
-    @staticmethod
-    def join(parts: Sequence[TrackTrials]) -> TrackTrials:
-        """All trials of the parts, in their order."""
-        names = [field.name for field in dataclasses.fields(TrackTrials)]
-        return TrackTrials(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
-
-    @staticmethod
-    def load(arrays: Mapping[str, NDArray[Any]]) -> TrackTrials:
-        """The trials out of a mapping that may hold other arrays too, such as an open npz file."""
-        return TrackTrials(**{field.name: arrays[field.name] for field in dataclasses.fields(TrackTrials)})
+    name: str
+    label: str = ""
+    unit: str = ""
+    digits: int = 2
+    sample: Callable[[StepSample], Tensor] | None = None
+    combine: Literal["mean", "variance", "sum", "integral", "max"] = "mean"
+    reduce: Callable[[TrialSet], Figure] | None = None
+    interval: bool = False
+    paper: str = ""
 
 
-TRIAL_SUMS = ("work", "positive_work", "samples", "speed", "squared_error", "yaw", "yaw_squared", "com", "root")
-"""Columns of the sums by trial; the first two count from the start, the others once settled."""
+def recorded_average(name: str) -> Callable[[TrialSet], Figure]:
+    """Average over trials of a recorded metric. Each trial has the same weight, however long it was."""
+    return lambda trials: average(trials.recorded(name))
 
 
-class TrackRecorder:
-    """Gathers T trials step by step; nothing waits for the device.
+def rms_speed_error(trials: TrialSet) -> float | None:
+    """Root mean square difference of the speed at each instant from the commanded one, over all trials, m/s."""
+    samples = trials.metrics.samples.sum()
+    return float(np.sqrt(trials.recorded("squared_error").sum() / samples)) if samples else None
+
+
+def cost_of_transport(metrics: TrackTrials, mass: float, work: str = "work") -> float | None:
+    """CoT = sum of |torque x velocity| dt over joints and time / (m g d), with d the forward distance along the track.
+
+    Work and distance of all trials are summed before they are divided, so that a trial counts in proportion to its
+    distance; a mean of ratios would be dominated by trials that fell at the start. The distance is horizontal, from the
+    first place of a trial to its last. The paper does not say which trials and which distance it takes.
 
     Args:
-        num_trials: T.
-        num_segments: Segments of the track.
-        dt: Control step, s.
-        robot: Whose joints the samples hold.
-        length: Of the track, m.
-        commanded: Commanded speed, m/s.
-        device: Where the samples are.
-        joints: Which joints are hips, knees and ankles.
+        mass: m, kg.
+        work: Recorded metric with the work of each trial, J.
+
+    Returns:
+        None if the mean distance of the trials is below `LEAST_WAY`.
     """
-
-    def __init__(
-        self,
-        num_trials: int,
-        num_segments: int,
-        dt: float,
-        *,
-        robot: Robot,
-        length: float,
-        commanded: float,
-        device: torch.device,
-        joints: JointGroups | None = None,
-    ) -> None:
-        self._trials, self._segments, self._dt = num_trials, num_segments, dt
-        self._settle = round(SETTLE_S / dt)
-        self._commanded = commanded
-        joints = joints or JointGroups()
-        self._members = torch.stack([joint_mask(robot, getattr(joints, g), device) for g in GROUPS], dim=1)  # [J, 3]
-        self._mean = self._members / self._members.sum(dim=0)  # of one joint of each group
-        knees = [i for i, is_knee in enumerate(self._members[:, 1].tolist()) if is_knee]
-        self._knees = torch.tensor(knees, device=device)
-        self._torque_bins = math.ceil(max(robot.effort_limit[i] for i in knees) / TORQUE_BIN) + 1
-        self._place_bins = math.ceil(length / BIN - 1e-9)
-
-        # One trial more than there are takes what worlds without a running trial show.
-        rows = num_trials + 1
-
-        def table(*shape: int) -> Tensor:
-            # Double: a thousand steps of single precision would show in the fourth digit.
-            return torch.zeros(*shape, dtype=torch.float64, device=device)
-
-        self._steps = torch.zeros(rows, dtype=torch.int64, device=device)
-        self._first, self._last = table(rows) + torch.nan, table(rows) + torch.nan
-        self._sums = table(rows, len(TRIAL_SUMS))
-        self._peak = torch.zeros(rows, device=device)
-        self._histogram = torch.zeros(rows * self._torque_bins, dtype=torch.int32, device=device)
-        self._by_segment = table(rows * num_segments, 3 + 3 * len(GROUPS))
-        self._by_place = table(rows * self._place_bins, 1 + len(PROFILE))
-
-    def add(self, trial: Tensor, sample: StepSample, running: Tensor) -> None:
-        """Takes one control step.
-
-        Args:
-            trial: [M] int64 number of the trial that each world walks; no two running worlds walk the same.
-            sample: What they show.
-            running: [M] bool; a world that is not running is ignored, whatever it shows.
-        """
-        row = torch.where(running, trial, self._trials)
-        place = sample.place.double()
-        first = self._first[row]
-        self._first[row] = torch.where(first.isnan(), place, first)
-        self._last[row] = place
-        steps = self._steps[row]
-        self._steps[row] = steps + 1
-        settled = (steps >= self._settle).to(torch.float64)[:, None]  # [M, 1]
-
-        power = sample.joint_torque * sample.joint_vel  # [M, J] W
-        driving = power.clamp(min=0.0)
-        torque = sample.joint_torque.abs()
-        # The distance is that between samples, and so is the work.
-        between = torch.where(steps > 0, self._dt, 0.0)[:, None]
-        energy = torch.stack([power.abs().sum(dim=1), driving.sum(dim=1)], dim=1) * between
-        error, yaw = (sample.speed - self._commanded).square(), sample.yaw_rate
-        one = torch.ones_like(yaw)
-        over_time = [one, sample.speed, error, yaw, yaw.square(), sample.com_height, sample.root_height]
-        self._sums.index_add_(0, row, torch.cat([energy, torch.stack(over_time, dim=1) * settled], dim=1))
-
-        knee = torque.index_select(1, self._knees)  # [M, knees]
-        self._peak.scatter_reduce_(0, row, knee.amax(dim=1), "amax")
-        place_in_histogram = (knee / TORQUE_BIN).to(torch.int64).clamp(0, self._torque_bins - 1)
-        cell = (row[:, None] * self._torque_bins + place_in_histogram).flatten()
-        self._histogram.index_add_(0, cell, torch.ones_like(cell, dtype=torch.int32))
-
-        flexion = sample.joint_pos @ self._mean[:, 1]
-        of_groups = [torque @ self._mean]
-        of_groups += [driving @ self._members * self._dt, (driving - power) @ self._members * self._dt]
-        there = torch.cat([torch.stack([one, sample.torso_pitch, flexion], dim=1), *of_groups], dim=1)
-        self._by_segment.index_add_(0, row * self._segments + sample.segment, there * settled)
-
-        bin_ = (sample.place / BIN).to(torch.int64).clamp(0, self._place_bins - 1)
-        along = torch.stack([one, of_groups[0][:, 0], flexion, sample.com_height, sample.torso_pitch], dim=1)
-        self._by_place.index_add_(0, row * self._place_bins + bin_, along * settled)
-
-    def trials(self) -> TrackTrials:
-        """What was gathered. Waits for the device."""
-        count = self._trials
-        sums = dict(zip(TRIAL_SUMS, _host(self._sums[:count]).T, strict=True))
-        settled = np.where(sums["samples"] > 0.0, sums["samples"], np.nan)
-        yaw = sums["yaw"] / settled
-        segments = _host(self._by_segment).reshape(count + 1, self._segments, -1)[:count]
-        torque, positive, negative = np.split(segments[:, :, 3:], 3, axis=2)
-        places = _host(self._by_place).reshape(count + 1, self._place_bins, -1)[:count]
-        return TrackTrials(
-            samples=sums["samples"],
-            distance=_host(self._last - self._first)[:count],
-            work=sums["work"],
-            positive_work=sums["positive_work"],
-            speed=sums["speed"] / settled,
-            squared_error=sums["squared_error"],
-            yaw_rate_variance=np.maximum(sums["yaw_squared"] / settled - yaw**2, 0.0),
-            com_height=sums["com"] / settled,
-            root_height=sums["root"] / settled,
-            knee_peak=_host(self._peak[:count]),
-            knee_histogram=self._histogram.view(count + 1, -1)[:count].cpu().numpy(),
-            segment_samples=segments[:, :, 0],
-            segment_pitch=segments[:, :, 1],
-            segment_flexion=segments[:, :, 2],
-            segment_torque=torque,
-            segment_positive=positive,
-            segment_negative=negative,
-            profile_samples=places[:, :, 0],
-            profile=places[:, :, 1:],
-        )
+    began = ~np.isnan(metrics.distance)
+    way = metrics.distance[began].sum()
+    if not began.any() or way < LEAST_WAY * began.sum():
+        return None
+    return float(metrics.values[work][began].sum() / (mass * GRAVITY * way))
 
 
-def _host(values: Tensor) -> Array:
-    return values.cpu().numpy().astype(np.float64)
+def knee_quantile(metrics: TrackTrials, share: float) -> float | None:
+    """|torque| that a `share` of all instants of both knees stay below: the middle of its `TORQUE_BIN`, Nm."""
+    counts = metrics.knee_histogram.sum(axis=0, dtype=np.int64)
+    total = counts.sum()
+    if total == 0:
+        return None
+    return float((np.searchsorted(np.cumsum(counts), share * total) + 0.5) * TORQUE_BIN)
+
+
+METRICS: tuple[Metric, ...] = (
+    # SR: share of trials that reached the goal, with Wilson's interval.
+    Metric(
+        "success",
+        "SR",
+        "%",
+        1,
+        reduce=lambda t: proportion(int(t.success.sum()), len(t.success)),
+        interval=True,
+        paper="sr",
+    ),
+    # MXD: furthest place from the start of the track, over all trials. A success ends a trial, and with it MXD.
+    Metric("max_distance", "MXD", "m", 2, reduce=lambda t: average(t.max_place), interval=True, paper="mxd"),
+    # T_trav: time to the goal, over the successes.
+    Metric(
+        "traversal_s",
+        "T_trav",
+        "s",
+        1,
+        reduce=lambda t: average(t.seconds[t.success]),
+        interval=True,
+        paper="t_trav",
+    ),
+    Metric("fell", "fell", "", 0, reduce=lambda t: int(t.fell.sum())),
+    Metric("left", "left", "", 0, reduce=lambda t: int(t.left.sum())),
+    Metric("timed_out", "timed out", "", 0, reduce=lambda t: int(t.timed_out.sum())),
+    # Forward speed along the ground: mean of the trials' means.
+    Metric("speed", "speed", "m/s", 3, lambda s: s.speed, reduce=recorded_average("speed"), interval=True),
+    Metric(
+        "squared_error",  # summed squared difference of that speed from the commanded one, (m/s)^2
+        sample=lambda s: (s.speed - s.commanded).square(),
+        combine="sum",
+    ),
+    # Difference of a trial's mean speed from the commanded one, so that slow and fast trials do not cancel.
+    Metric(
+        "speed_error",
+        "error",
+        "m/s",
+        3,
+        reduce=lambda t: average(np.abs(t.recorded("speed") - t.commanded)),
+        interval=True,
+    ),
+    Metric("speed_rms_error", "RMS", "m/s", 3, reduce=rms_speed_error),
+    # Work of all joints: |torque x velocity|, and torque x velocity where it is positive, J.
+    Metric("work", sample=lambda s: s.power.abs().sum(dim=1), combine="integral"),
+    Metric("positive_work", sample=lambda s: s.driving_power.sum(dim=1), combine="integral"),
+    Metric("cost_of_transport", "CoT", "", 3, reduce=lambda t: cost_of_transport(t.metrics, t.mass), paper="cot"),
+    Metric(
+        "cost_of_transport_successes",
+        "CoT of successes",
+        "",
+        3,
+        reduce=lambda t: cost_of_transport(t.metrics[t.success], t.mass),
+    ),
+    Metric(
+        "cost_of_transport_positive",
+        "CoT +",
+        "",
+        3,
+        reduce=lambda t: cost_of_transport(t.metrics, t.mass, "positive_work"),
+    ),
+    # Variance over the time of a trial of the root's rate about the vertical.
+    Metric(
+        "yaw_rate_variance",
+        "σ²_yaw",
+        "rad²/s²",
+        4,
+        lambda s: s.yaw_rate,
+        "variance",
+        recorded_average("yaw_rate_variance"),
+        interval=True,
+        paper="yaw_rate_variance",
+    ),
+    # Heights above the ground right below: mean of the trials' means.
+    Metric(
+        "com_height",
+        "h_com",
+        "m",
+        3,
+        lambda s: s.com_height,
+        reduce=recorded_average("com_height"),
+        interval=True,
+        paper="com_height",
+    ),
+    Metric(
+        "root_height",
+        "h_root",
+        "m",
+        3,
+        lambda s: s.root_height,
+        reduce=recorded_average("root_height"),
+        interval=True,
+    ),
+    # Largest |torque| of either knee in a trial, averaged over trials; and the largest of all trials.
+    Metric(
+        "knee_peak",
+        "τ_knee",
+        "Nm",
+        1,
+        lambda s: s.knee_torque.amax(dim=1),
+        "max",
+        recorded_average("knee_peak"),
+        interval=True,
+        paper="knee_peak",
+    ),
+    Metric("knee_max", "τ max", "Nm", 1, reduce=lambda t: largest(t.recorded("knee_peak"))),
+    Metric("knee_p99", "τ p99", "Nm", 1, reduce=lambda t: knee_quantile(t.metrics, 0.99)),
+)
+
+RECORDED = tuple(metric for metric in METRICS if metric.sample is not None)
+"""Metrics that the recorder samples."""
+REPORTED = {metric.name: metric for metric in METRICS if metric.reduce is not None}
+"""Metrics that results and tables show, by name."""
+
+PROFILE: dict[str, Callable[[StepSample], Tensor]] = {
+    "hip_torque": lambda s: s.group_torque[:, 0],
+    "knee_flexion": lambda s: s.knee_flexion,
+    "com_height": lambda s: s.com_height,
+    "torso_pitch": lambda s: s.torso_pitch,
+}
+"""Samples [M] that are averaged by place along the track: Nm of one hip, rad, m, rad."""

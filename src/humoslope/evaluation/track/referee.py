@@ -11,20 +11,20 @@ from torch import Tensor
 from humoslope.evaluation.track.protocol import HeldOutProtocol
 
 OUTCOMES = ("success", "fell", "left", "timed_out")
-"""How a trial can end; if two happen at once, the first counts."""
+"""Ways in which a trial can end; if two happen at once, the first counts."""
 
 
 class Situation(NamedTuple):
-    """What the rules look at, of all worlds at one instant.
+    """State of all envs at one instant, as far as the rules need it.
 
     Attributes:
-        place: [W] root along the course, m.
-        across: [W] root to the left of the centre line, m.
-        com_height: [W] centre of mass above the ground below it, m.
-        upright: [W] cosine of the root's lean from the vertical.
-        upper_force: [W] ground force on everything but feet and shins, N.
-        diverged: [W] bool; the physics of the world went wrong.
-        seconds: [W] since the start of the trial.
+        place: [N] root along the course, m.
+        across: [N] root to the left of the centre line, m.
+        com_height: [N] centre of mass above the ground below it, m.
+        upright: [N] cosine of the root's lean from the vertical.
+        upper_force: [N] ground force on everything but feet and shins, N.
+        diverged: [N] bool; the physics of the env diverged.
+        steps: [N] int64 control steps since the start of the trial.
     """
 
     place: Tensor
@@ -33,14 +33,14 @@ class Situation(NamedTuple):
     upright: Tensor
     upper_force: Tensor
     diverged: Tensor
-    seconds: Tensor
+    steps: Tensor
 
 
 class Referee:
     """Applies a protocol's rules, control step by control step.
 
     Args:
-        half_width: Of the course, m.
+        half_width: Half the width of the course, m.
         dt: Control step, s.
     """
 
@@ -48,12 +48,11 @@ class Referee:
         self._protocol, self._half_width = protocol, half_width
         self._contact_steps = max(1, round(protocol.fall_contact_s / dt))
         self._least_upright = math.cos(math.radians(protocol.fall_tilt))
-        # A sum of binary steps may stay a hair below the time limit.
-        self._timeout = protocol.timeout_s - 0.5 * dt
-        self._touching: Tensor | None = None  # [W] control steps of contact without a break
+        self._timeout_steps = max(1, round(protocol.timeout_s / dt))
+        self._touching: Tensor | None = None  # [N] control steps of uninterrupted contact
 
     def judge(self, now: Situation) -> Tensor:
-        """How the trials end now, bool [W, 4] in the order of `OUTCOMES`; at most one holds in a world."""
+        """Outcomes of the trials that end now, bool [N, 4] in the order of `OUTCOMES`; at most one holds in an env."""
         protocol = self._protocol
         touching = 0 if self._touching is None else self._touching
         self._touching = torch.where(now.upper_force > protocol.fall_force, touching + 1, torch.zeros_like(now.place))
@@ -65,10 +64,10 @@ class Referee:
             | now.diverged
         ) & ~success
         left = ((now.across.abs() > self._half_width) | (now.place < 0.0)) & ~(success | fell)
-        timed_out = (now.seconds >= self._timeout) & ~(success | fell | left)
+        timed_out = (now.steps >= self._timeout_steps) & ~(success | fell | left)
         return torch.stack([success, fell, left, timed_out], dim=1)
 
     def reset(self, mask: Tensor) -> None:
-        """Forgets the contacts of the worlds in `mask`."""
+        """Forgets the contacts of the envs in `mask`."""
         if self._touching is not None:
             self._touching = self._touching.masked_fill(mask, 0.0)

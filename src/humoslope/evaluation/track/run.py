@@ -18,18 +18,18 @@ import humoslope
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.report.paper import read_paper
-from humoslope.evaluation.report.results import read_report, tell
+from humoslope.evaluation.report.results import from_report, to_report
 from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
 from humoslope.evaluation.track import store
-from humoslope.evaluation.track.arrays import each
+from humoslope.evaluation.track.arrays import map_arrays
 from humoslope.evaluation.track.progress import Progress, cell_table, view
 from humoslope.evaluation.track.protocol import HeldOutProtocol
-from humoslope.evaluation.track.store import Walked
-from humoslope.evaluation.track.sweep import ENOUGH, SlopeLimit, slope_limit
-from humoslope.evaluation.track.trials import HeldOutTrials, Relay, held_out_env_cfg, walk
+from humoslope.evaluation.track.store import SavedTrials
+from humoslope.evaluation.track.summary import ENOUGH, SlopeLimit, slope_limit
+from humoslope.evaluation.track.trials import HeldOutTrials, TrialScheduler, held_out_env_cfg, run_trials
 from humoslope.files import check_place, write_text
 from humoslope.interrupts import Interrupt, deferred_interrupts
-from humoslope.learning.policy import Provenance, load_actor
+from humoslope.learning.policy import Provenance, load_actor, read_spec
 from humoslope.provenance import git_state, plain
 from humoslope.registry import TaskCfg
 
@@ -46,7 +46,7 @@ class Plan:
     Attributes:
         protocol: Track, grades, friction and rules of a trial.
         sweep: Report the slope limit of a sweep instead of the paper's tables.
-        lanes: Trials of a cell that are walked in parallel.
+        parallel_trials: Trials of a cell that run side by side.
         fresh: Ignore trials that were saved before.
         out: Path of the results without ending; None for a file beside the first checkpoint.
         command_line: Command that the results are said to come from.
@@ -54,14 +54,14 @@ class Plan:
 
     protocol: HeldOutProtocol
     sweep: bool
-    lanes: int
+    parallel_trials: int
     fresh: bool
     out: Path | None
     command_line: str
 
 
 def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console: Console) -> bool:
-    """Walks the trials of all checkpoints that are missing and writes the results, also after an interruption.
+    """Runs the missing trials of all checkpoints and writes the results, also after an interruption.
 
     Args:
         checkpoints: Checkpoints of one method, each with its task as it was trained; their trials are pooled.
@@ -72,8 +72,8 @@ def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console:
     Raises:
         UserError: If the plan is impossible, or a checkpoint is given twice.
     """
-    if plan.lanes < 1:
-        raise UserError(f"evaluate: lanes is {plan.lanes}; each cell needs at least 1.")
+    if plan.parallel_trials < 1:
+        raise UserError(f"evaluate: parallel_trials is {plan.parallel_trials}; each cell needs at least 1.")
     plan.protocol.find_course()
     sources = [source for source, _ in checkpoints]
     for i, source in enumerate(sources):
@@ -88,7 +88,7 @@ def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console:
         for source, task in checkpoints:
             evaluation = _Evaluation(source, task, plan, out, console)
             evaluations.append(evaluation)
-            complete = evaluation.walk(interrupt)
+            complete = evaluation.run(interrupt)
             if not complete:
                 break
     _conclude(console, evaluations, plan, len(checkpoints), out)
@@ -96,48 +96,48 @@ def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console:
 
 
 class _Evaluation:
-    """Trials of one checkpoint, those saved before and those still to walk.
+    """Trials of one checkpoint, those saved before and those still to run.
 
     Attributes:
-        walked: Trials, time and code so far.
+        saved: Trials, time and code so far.
     """
 
     def __init__(self, source: Provenance, task: TaskCfg, plan: Plan, out: Path, console: Console) -> None:
         self.source, self.protocol, self._console = source, plan.protocol, console
         course = plan.protocol.find_course()
-        relay = Relay(plan.protocol, course, plan.lanes)
-        cfg = held_out_env_cfg(task.env, relay)
-        self._mark = store.fingerprint(cfg, relay, source.sha256)
-        self._path = _beside(out, f".{self._mark[:8]}.npz")
-        found = None if plan.fresh else store.load(self._path, self._mark, plan.protocol)
-        relay.earlier = found and found.trials
+        scheduler = TrialScheduler(plan.protocol, course, plan.parallel_trials)
+        cfg = held_out_env_cfg(task.env, scheduler, read_spec(source.path).groups)
+        self._fingerprint = store.trial_fingerprint(cfg, scheduler, source.sha256)
+        self._path = _beside(out, f".{self._fingerprint[:8]}.npz")
+        found = None if plan.fresh else store.load(self._path, self._fingerprint, plan.protocol)
+        scheduler.earlier = found and found.trials
         self.env = ManagerBasedRlEnv(cfg)
-        self._relay = relay
+        self._scheduler = scheduler
         self._actor = load_actor(source.path, self.env, source.task)
-        self.walked = found or Walked(relay.trials(), 0.0, ())
+        self.saved = found or SavedTrials(scheduler.trials(), 0.0, ())
 
     @property
     def finished(self) -> bool:
         """True if no trial is left."""
-        return bool(self.walked.trials.finished.all())
+        return bool(self.saved.trials.finished.all())
 
-    def walk(self, interrupt: Interrupt) -> bool:
-        """Walks the trials that are left; returns True if all are finished."""
-        relay, protocol = self._relay, self.protocol
+    def run(self, interrupt: Interrupt) -> bool:
+        """Runs the trials that are left; returns True if all are finished."""
+        scheduler, protocol = self._scheduler, self.protocol
         self._introduce()
         shown = written = time.monotonic()
-        started = shown - self.walked.wall_clock_s
-        code = self.walked.code if self.finished else (*dict.fromkeys([*self.walked.code, _commit()]),)
+        started = shown - self.saved.wall_clock_s
+        code = self.saved.code if self.finished else (*dict.fromkeys([*self.saved.code, _commit()]),)
 
         def keep() -> None:
-            self.walked = Walked(relay.trials(), time.monotonic() - started, code)
-            store.save(self._path, self.walked, self._mark, protocol)
+            self.saved = SavedTrials(scheduler.trials(), time.monotonic() - started, code)
+            store.save(self._path, self.saved, self._fingerprint, protocol)
 
-        progress = Progress(relay.progress(), self.env.step_dt)
+        progress = Progress(scheduler.progress(), self.env.step_dt)
         title = f"{self.source.task}, iteration {self.source.iteration}"
 
         def picture() -> Any:
-            return view(relay.trials(), protocol, title, progress.line(relay.progress()))
+            return view(scheduler.trials(), protocol, title, progress.line(scheduler.progress()))
 
         def on_step(running: Tensor) -> None:
             nonlocal shown, written
@@ -154,7 +154,7 @@ class _Evaluation:
 
         with Live(picture(), console=self._console, auto_refresh=False, transient=True) as live:
             try:
-                walk(self.env, self._actor, relay, on_step)
+                run_trials(self.env, self._actor, scheduler, on_step)
             except KeyboardInterrupt:
                 pass
             finally:
@@ -163,31 +163,31 @@ class _Evaluation:
 
     def _introduce(self) -> None:
         env, sim, protocol = self.env, self.env.cfg.sim, self.protocol
-        done = int(self.walked.trials.finished.sum())
+        done = int(self.saved.trials.finished.sum())
         lines = [
             f"[bold]{self.source.task}[/bold], iteration {self.source.iteration}, "
             f"{self.source.total_steps / 1e6:.2f} M steps; {self.source.path}",
-            f"{protocol.trials} trials in each of {protocol.num_cells} cells, {env.num_envs} worlds; physics "
+            f"{protocol.trials} trials in each of {protocol.num_cells} cells, {env.num_envs} envs; physics "
             f"'{env.sim.backend}' on {env.device}, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone",
         ]
         if departs := protocol.departures(HeldOutProtocol()):
             lines.append(f"[yellow]departs from the protocol: {departs}[/yellow]")
         if done:
-            lines.append(f"goes on with {done} trials that were finished before")
+            lines.append(f"continues with {done} trials that were finished before")
         self._console.print("\n".join(lines), highlight=False, soft_wrap=True)
 
 
 def _conclude(console: Console, evaluations: list[_Evaluation], plan: Plan, checkpoints: int, out: Path) -> None:
     protocol = plan.protocol
-    trials = each(lambda *parts: np.concatenate(parts), *(e.walked.trials for e in evaluations))
-    walked, wanted = int(trials.finished.sum()), checkpoints * protocol.num_trials
+    trials = map_arrays(lambda *parts: np.concatenate(parts), *(e.saved.trials for e in evaluations))
+    finished, wanted = int(trials.finished.sum()), checkpoints * protocol.num_trials
     pooled = dataclasses.replace(protocol, trials=protocol.trials * checkpoints)
     console.print(cell_table(trials, pooled, "Held-out track"))
-    partial = walked < wanted
+    partial = finished < wanted
     if partial:
         console.print(
-            f"[yellow]Partial: {walked} of {wanted} trials. Failures end sooner than successes, so the rates are too "
-            "low; the same command goes on.[/yellow]",
+            f"[yellow]Partial: {finished} of {wanted} trials. Failures end sooner than successes, so the rates are too "
+            "low; the same command continues.[/yellow]",
             soft_wrap=True,
         )
     limit = None if partial or not plan.sweep else _limit(trials, protocol)
@@ -203,7 +203,7 @@ def _conclude(console: Console, evaluations: list[_Evaluation], plan: Plan, chec
         "slope_limit": None if limit is None else plain(limit),
         "command_line": plan.command_line,
     }
-    results = [read_report(report)]
+    results = [from_report(report)]
     sheets = [cells_table(results)]
     if not plan.sweep:
         paper = read_paper()
@@ -239,15 +239,15 @@ def _report(evaluations: list[_Evaluation], trials: HeldOutTrials, plan: Plan) -
     return {
         "what": "sweep" if plan.sweep else "held-out",
         "version": humoslope.__version__,
-        "code": ", ".join(dict.fromkeys(commit for e in evaluations for commit in e.walked.code)),
+        "code": ", ".join(dict.fromkeys(commit for e in evaluations for commit in e.saved.code)),
         "checkpoints": [plain(e.source) for e in evaluations],
         "protocol": plain(plan.protocol),
-        "lanes": plan.lanes,
+        "parallel_trials": plan.parallel_trials,
         "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
-        "wall_clock_s": round(sum(e.walked.wall_clock_s for e in evaluations), 1),
+        "wall_clock_s": round(sum(e.saved.wall_clock_s for e in evaluations), 1),
         "finished": int(trials.finished.sum()),
         "successes": int(trials.success.sum()),
-        **tell(
+        **to_report(
             trials[trials.finished],
             grades=plan.protocol.grades,
             tiers=plan.protocol.tiers,

@@ -1,4 +1,4 @@
-"""Finished trials on disk, so that an evaluation that was interrupted goes on."""
+"""Finished trials on disk, from which an interrupted evaluation continues."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ import torch
 from numpy.typing import NDArray
 
 from humoslope.env import EnvCfg
-from humoslope.evaluation.track.arrays import chosen, each, from_arrays, to_arrays
-from humoslope.evaluation.track.metrics import TrackTrials
+from humoslope.evaluation.track.arrays import from_arrays, map_arrays, to_arrays, where_arrays
+from humoslope.evaluation.track.metrics import METRICS_VERSION, RECORDED
 from humoslope.evaluation.track.protocol import HeldOutProtocol
-from humoslope.evaluation.track.trials import HeldOutTrials, Relay
+from humoslope.evaluation.track.recorder import TrackTrials
+from humoslope.evaluation.track.trials import HeldOutTrials, TrialScheduler
 from humoslope.files import write_atomically
 from humoslope.provenance import plain
 
 
-class Walked(NamedTuple):
-    """What a file holds.
+class SavedTrials(NamedTuple):
+    """Contents of a file.
 
     Attributes:
-        trials: With gaps where they are not finished yet.
-        wall_clock_s: What they took in all calls.
-        code: Commits that they were walked with.
+        trials: All trials, also those that are not finished yet.
+        wall_clock_s: Time that they took in all calls, s.
+        code: Commits that they were run with.
     """
 
     trials: HeldOutTrials
@@ -38,70 +39,76 @@ class Walked(NamedTuple):
     code: tuple[str, ...]
 
 
-def fingerprint(cfg: EnvCfg, relay: Relay, sha256: str) -> str:
-    """A hash of what decides the outcome of a trial: protocol, ground, environment, machine and checkpoint.
+def trial_fingerprint(cfg: EnvCfg, scheduler: TrialScheduler, sha256: str) -> str:
+    """Hash of everything that decides the record of a trial: protocol, ground, environment, definitions of the metrics,
+    machine and checkpoint.
 
-    How many trials there are is not in it, so that a first look with a few of them is the beginning of a full one.
+    The number of trials is not in it, so that an evaluation with a few of them is the beginning of a full one.
 
     Args:
-        sha256: Of the checkpoint.
+        sha256: Hash of the checkpoint.
     """
-    protocol = asdict(relay.protocol)
+    protocol = asdict(scheduler.protocol)
     del protocol["trials"]
-    # Of the files that describe the robot it is what they say that counts, not where they lie; meshes only look.
+    # The contents of the files that describe the robot count, not their paths; meshes are only for display.
     robot = cfg.scene.robot
     described = plain(robot) | {"urdf": hashlib.sha256(robot.urdf.read_bytes()).hexdigest(), "meshes": None}
     whole = {
         "protocol": protocol,
-        "lanes": relay.lanes,
+        "parallel_trials": scheduler.parallel_trials,
         "ground": hashlib.sha256(cfg.scene.terrain.build().heights.tobytes()).hexdigest(),
-        "segments": plain(relay.course.segments),
+        "segments": plain(scheduler.course.segments),
         "environment": {name: plain(value) for name, value in vars(cfg).items() if name != "scene"},
         "robot": described,
-        "machine": [torch.cuda.is_available(), torch.get_num_threads(), torch.__version__, mujoco.__version__],
+        # The number of threads is left out because trials run on one.
+        "machine": [torch.cuda.is_available(), torch.__version__, mujoco.__version__],
+        "metrics": [METRICS_VERSION, *(metric.name for metric in RECORDED)],
         "checkpoint": sha256,
     }
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
 
 
-def save(path: Path, walked: Walked, mark: str, protocol: HeldOutProtocol) -> None:
-    """Writes the trials of a protocol and the fingerprint they belong to in one step.
+def save(path: Path, saved: SavedTrials, fingerprint: str, protocol: HeldOutProtocol) -> None:
+    """Writes the trials of a protocol with their fingerprint in one step.
 
-    Trials beyond the protocol's that the file holds under the same fingerprint stay in it.
+    Trials in the file beyond those of the protocol are kept if they have the same fingerprint.
     """
-    trials, before = walked.trials, _read(path, mark)
+    trials, before = saved.trials, _read(path, fingerprint)
     if before is not None and len(before.trials) > len(trials):
         larger = replace(protocol, trials=len(before.trials) // protocol.num_cells)
-        padded = each(partial(_resize, protocol=larger), trials)
-        trials = each(partial(chosen, padded.finished), padded, before.trials)
-    about = {"fingerprint": mark, "wall_clock_s": walked.wall_clock_s, "code": walked.code}
+        padded = map_arrays(partial(_resize, protocol=larger), trials)
+        trials = map_arrays(partial(where_arrays, padded.finished), padded, before.trials)
+    about = {"fingerprint": fingerprint, "wall_clock_s": saved.wall_clock_s, "code": saved.code}
     arrays: dict[str, Any] = {name: np.array(value) for name, value in about.items()} | to_arrays(trials)
     write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
 
 
-def load(path: Path, mark: str, protocol: HeldOutProtocol) -> Walked | None:
-    """The trials saved at `path` as far as this protocol has them, if they have this fingerprint.
+def load(path: Path, fingerprint: str, protocol: HeldOutProtocol) -> SavedTrials | None:
+    """The trials of this protocol that are saved at `path` under this fingerprint.
 
-    None if there is no such file, or it belongs to something else.
+    None if there is no such file, or it has another fingerprint.
     """
-    found = _read(path, mark)
-    return None if found is None else found._replace(trials=each(partial(_resize, protocol=protocol), found.trials))
+    found = _read(path, fingerprint)
+    if found is None:
+        return None
+    return found._replace(trials=map_arrays(partial(_resize, protocol=protocol), found.trials))
 
 
-def _read(path: Path, mark: str) -> Walked | None:
+def _read(path: Path, fingerprint: str) -> SavedTrials | None:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
-        if str(arrays.pop("fingerprint")) != mark:
+        if str(arrays.pop("fingerprint")) != fingerprint:
             return None
         wall_clock_s, code = float(arrays.pop("wall_clock_s")), tuple(arrays.pop("code").tolist())
-        return Walked(from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials}), wall_clock_s, code)
+        trials = from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials, "values": dict})
+        return SavedTrials(trials, wall_clock_s, code)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 
 
 def _resize(values: NDArray[Any], protocol: HeldOutProtocol) -> NDArray[Any]:
-    """Results [T, ...] for as many trials in each cell as the protocol has; those there are not yet are all zero."""
+    """Values [T, ...] for as many trials in each cell as the protocol has; missing ones are zero."""
     cells = values.reshape(protocol.num_cells, -1, *values.shape[1:])
     kept = cells[:, : protocol.trials]
     result = np.zeros((protocol.num_cells, protocol.trials, *values.shape[1:]), dtype=values.dtype)

@@ -1,7 +1,4 @@
-"""The figures of a set of trials on a track, as the paper's tables have them (paper, section 4, "Metrics").
-
-A figure is None where nothing was measured. Averages over trials give each trial the same weight, however long it was.
-"""
+"""Figures of a set of trials on a track, as in the paper's tables (paper, section 4, "Metrics")."""
 
 from __future__ import annotations
 
@@ -12,40 +9,37 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from humoslope.evaluation.track.metrics import GROUPS, PROFILE, TORQUE_BIN, TrackTrials
-from humoslope.slope.zmp import GRAVITY
-from humoslope.statistics import Array, Average, Proportion, average, proportion
+from humoslope.evaluation.track.metrics import GROUPS, PROFILE, REPORTED, Figure, TrialSet
+from humoslope.evaluation.track.recorder import TrackTrials
+from humoslope.statistics import Array, Bools
 
 DIRECTIONS = {"up": 1, "flat": 0, "down": -1}
-LEAST_WAY = 1.0
-"""Mean distance of trials below which cost of transport means nothing, m: it divides by the distance."""
-
-Choice = NDArray[np.bool_]
-"""Which of T trials."""
+ENOUGH = 0.5
+"""Success rate from which on a grade counts as mastered; ours, the paper does not say."""
 
 
 class Outcomes(Protocol):
-    """T finished trials: how they ended, and what was measured on the way; all arrays are [T].
+    """T finished trials: how they ended, and their record; all arrays are [T].
 
     Attributes:
-        metrics: What was measured.
+        metrics: Recorded values.
         success: Whether the goal was reached.
         fell, left, timed_out: How the others ended.
         seconds: Until the end, s; of a success, until the goal.
         max_place: Furthest place on the track, m from its start.
-        grade_index, tier_index: The condition each was walked under.
+        grade_index, tier_index: Condition of each trial.
     """
 
     @property
     def metrics(self) -> TrackTrials: ...
     @property
-    def success(self) -> NDArray[np.bool_]: ...
+    def success(self) -> Bools: ...
     @property
-    def fell(self) -> NDArray[np.bool_]: ...
+    def fell(self) -> Bools: ...
     @property
-    def left(self) -> NDArray[np.bool_]: ...
+    def left(self) -> Bools: ...
     @property
-    def timed_out(self) -> NDArray[np.bool_]: ...
+    def timed_out(self) -> Bools: ...
     @property
     def seconds(self) -> Array: ...
     @property
@@ -56,126 +50,41 @@ class Outcomes(Protocol):
     def tier_index(self) -> NDArray[np.int64]: ...
 
 
-@dataclass(frozen=True)
-class Summary:
-    """The figures of some trials; what is averaged over trials comes with Student's interval.
-
-    Attributes:
-        success: SR, the share of trials that reached the goal, with Wilson's interval.
-        fell, left, timed_out: Trials that ended otherwise.
-        max_distance: MXD, furthest place from the start of the track, averaged over all trials, m.
-        traversal_s: T_trav, time to the goal, averaged over the successes, s.
-        speed: Forward speed along the ground, mean of the trials' means, m/s.
-        speed_error: Distance of a trial's mean speed from the commanded one, averaged over trials, m/s.
-        speed_rms_error: Root mean square of the difference at each instant, m/s.
-        cost_of_transport: See `cost_of_transport`; over all trials.
-        cost_of_transport_successes: The same over the successes.
-        cost_of_transport_positive: The same over all trials, of positive work alone.
-        yaw_rate_variance: Over the time of a trial, averaged over trials, (rad/s)^2.
-        com_height: Of the centre of mass above the ground right below it, mean of the trials' means, m.
-        root_height: As `com_height`, of the root, m.
-        knee_peak: Largest torque of either knee in a trial, averaged over trials, Nm.
-        knee_max: Largest of all trials, Nm.
-        knee_p99: Torque that 99 % of all instants of both knees stay below, to `TORQUE_BIN`, Nm.
-    """
-
-    success: Proportion
-    fell: int
-    left: int
-    timed_out: int
-    max_distance: Average | None
-    traversal_s: Average | None
-    speed: Average | None
-    speed_error: Average | None
-    speed_rms_error: float | None
-    cost_of_transport: float | None
-    cost_of_transport_successes: float | None
-    cost_of_transport_positive: float | None
-    yaw_rate_variance: Average | None
-    com_height: Average | None
-    root_height: Average | None
-    knee_peak: Average | None
-    knee_max: float
-    knee_p99: float | None
+Summary = dict[str, Figure]
+"""Figures of some trials by the names of `REPORTED`. A result of an older version may lack some."""
 
 
-def summarise(outcomes: Outcomes, which: Choice, mass: float, commanded: float) -> Summary:
-    """The figures of the trials in `which` [T].
+def summarise(outcomes: Outcomes, which: Bools, mass: float, commanded: float) -> Summary:
+    """All reported metrics of the trials in `which` [T].
 
     Args:
-        mass: Of the robot, kg.
+        mass: Mass of the robot, kg.
         commanded: Commanded speed, m/s.
 
     Raises:
         UserError: If there is no trial.
     """
-    success, metrics = outcomes.success[which], outcomes.metrics[which]
-    return Summary(
-        success=proportion(int(success.sum()), len(success)),
-        fell=int(outcomes.fell[which].sum()),
-        left=int(outcomes.left[which].sum()),
-        timed_out=int(outcomes.timed_out[which].sum()),
-        max_distance=average(outcomes.max_place[which]),
-        traversal_s=average(outcomes.seconds[which][success]),
-        speed=average(metrics.speed),
-        speed_error=average(np.abs(metrics.speed - commanded)),
-        speed_rms_error=rms_speed_error(metrics),
-        cost_of_transport=cost_of_transport(metrics, mass),
-        cost_of_transport_successes=cost_of_transport(metrics[success], mass),
-        cost_of_transport_positive=cost_of_transport(metrics, mass, positive=True),
-        yaw_rate_variance=average(metrics.yaw_rate_variance),
-        com_height=average(metrics.com_height),
-        root_height=average(metrics.root_height),
-        knee_peak=average(metrics.knee_peak),
-        knee_max=float(metrics.knee_peak.max()),
-        knee_p99=knee_quantile(metrics, 0.99),
+    trials = TrialSet(
+        metrics=outcomes.metrics[which],
+        success=outcomes.success[which],
+        fell=outcomes.fell[which],
+        left=outcomes.left[which],
+        timed_out=outcomes.timed_out[which],
+        seconds=outcomes.seconds[which],
+        max_place=outcomes.max_place[which],
+        mass=mass,
+        commanded=commanded,
     )
-
-
-def rms_speed_error(metrics: TrackTrials) -> float | None:
-    """Root mean square difference of the speed at each instant from the commanded one, over all trials, m/s."""
-    samples = metrics.samples.sum()
-    return float(np.sqrt(metrics.squared_error.sum() / samples)) if samples else None
-
-
-def cost_of_transport(metrics: TrackTrials, mass: float, positive: bool = False) -> float | None:
-    """CoT = sum of |torque x velocity| dt over joints and time / (m g d), with d the way forward along the track.
-
-    Work and way of all trials are summed before they are divided, so that a trial counts by the way it went; a mean of
-    ratios would be ruled by those that fell at the start. The way is horizontal, from the first place of a trial to its
-    last. The paper does not say which trials and which way it takes.
-
-    Args:
-        mass: m, kg.
-        positive: Whether only work done by the joints counts, and not the work done on them.
-
-    Returns:
-        None if the trials went less than `LEAST_WAY` on average.
-    """
-    began = ~np.isnan(metrics.distance)
-    way = metrics.distance[began].sum()
-    if not began.any() or way < LEAST_WAY * began.sum():
-        return None
-    work = metrics.positive_work if positive else metrics.work
-    return float(work[began].sum() / (mass * GRAVITY * way))
-
-
-def knee_quantile(metrics: TrackTrials, share: float) -> float | None:
-    """The |torque| that a `share` of all instants of both knees stay below: the middle of its `TORQUE_BIN`, Nm."""
-    counts = metrics.knee_histogram.sum(axis=0, dtype=np.int64)
-    total = counts.sum()
-    if total == 0:
-        return None
-    return float((np.searchsorted(np.cumsum(counts), share * total) + 0.5) * TORQUE_BIN)
+    return {name: metric.reduce(trials) for name, metric in REPORTED.items() if metric.reduce is not None}
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Posture and load on all segments of one direction; averages over the time spent there, of all trials.
+    """Posture and load on all segments of one direction, averaged over the time that all trials spent there.
 
     Attributes:
-        torso_pitch: Lean in the heading direction, rad, positive forward.
-        knee_flexion: Mean of both knees, rad.
+        torso_pitch: Lean of the torso in the heading direction, rad, positive forward.
+        knee_flexion: Mean flexion of both knees, rad.
         torque: |torque| of a joint of each of `GROUPS`, Nm.
         positive_share, negative_share: Each group's part of the work that the three of them do, and of that done on
             them; None if there was none.
@@ -192,10 +101,10 @@ def diagnose(metrics: TrackTrials, directions: Sequence[int]) -> dict[str, Diagn
     """Posture and load uphill, on the flat and downhill.
 
     Args:
-        directions: Of each segment: +1 up, 0 flat, -1 down.
+        directions: Direction of each segment: +1 up, 0 flat, -1 down.
 
     Returns:
-        One diagnosis for each of `DIRECTIONS`; None where nobody was.
+        One diagnosis for each of `DIRECTIONS`; None where no trial came.
     """
     found: dict[str, Diagnosis | None] = {}
     for name, direction in DIRECTIONS.items():
@@ -215,7 +124,7 @@ def diagnose(metrics: TrackTrials, directions: Sequence[int]) -> dict[str, Diagn
 
 
 def profile(metrics: TrackTrials) -> dict[str, list[float | None]]:
-    """What `metrics.PROFILE` names along the track: the mean over the time all trials spent in each bin of place."""
+    """Mean of each of `PROFILE` over the time that all trials spent in each bin of place; None where no trial came."""
     samples = metrics.profile_samples.sum(axis=0)
     sums = metrics.profile.sum(axis=0)  # [bins, PROFILE]
     return {
@@ -230,3 +139,31 @@ def _by_group(values: NDArray[Any]) -> dict[str, float]:
 
 def _shares(work: NDArray[Any]) -> dict[str, float] | None:
     return _by_group(work / work.sum()) if work.sum() > 0.0 else None
+
+
+@dataclass(frozen=True)
+class SlopeLimit:
+    """Result of a sweep. Grades in degrees; None if not even the lowest grade of the sweep qualifies.
+
+    Attributes:
+        grade: The steepest grade that is mastered together with all lower ones of the sweep.
+        any_success: The steepest grade with at least one success, whatever the lower ones gave.
+        beyond: Whether the steepest grade of the sweep is mastered, so that the limit lies there or higher.
+    """
+
+    grade: float | None
+    any_success: float | None
+    beyond: bool
+
+
+def slope_limit(grades: Sequence[float], successes: Sequence[int], trials: Sequence[int]) -> SlopeLimit:
+    """The slope limit from the outcomes at each grade, up to the first grade that is not mastered: a steeper one that
+    happens to succeed does not count."""
+    rising = sorted(zip(grades, successes, trials, strict=True))
+    limit: float | None = None
+    for grade, count, total in rising:
+        if count < ENOUGH * total:
+            break
+        limit = grade
+    reached = [grade for grade, count, _ in rising if count > 0]
+    return SlopeLimit(limit, max(reached, default=None), limit == rising[-1][0])
