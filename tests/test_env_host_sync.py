@@ -112,8 +112,9 @@ def no_host_sync(env: ManagerBasedRlEnv, patch: pytest.MonkeyPatch) -> Iterator[
     patch.undo()
 
 
+@pytest.mark.parametrize("terminal", [False, True])
 def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
-    make_stage1: Callable[..., ManagerBasedRlEnv], monkeypatch: pytest.MonkeyPatch
+    make_stage1: Callable[..., ManagerBasedRlEnv], monkeypatch: pytest.MonkeyPatch, terminal: bool
 ) -> None:
     def change(cfg: EnvCfg) -> None:
         cfg.observations.critic.terms.terrain_descriptor = ObservationTermCfg(observations.terrain_descriptor)
@@ -124,6 +125,8 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
         cfg.rewards.swing = RewardTermCfg(bsga.SwingHip, {"beta0": 0.45, "beta1": 1.0, "theta_clip": 0.5})
 
     env = make_stage1(16, change)
+    if terminal:
+        env.enable_terminal_observations()
     actions = [0.3 * torch.randn(16, 29) for _ in range(20)]
     for action in actions[:12]:
         env.step(action)
@@ -153,6 +156,7 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
     assert env.commands.velocity[asked, 0] != command[0]
     assert env.log.flush()["Train/diverged"] > 0.0
     assert env.take_divergence() is not None
+    assert env.non_finite() == []
     assert reward.isfinite().all()
     assert obs["actor"].isfinite().all()
     assert env.height_scan.descriptor.valid.all()

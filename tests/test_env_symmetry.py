@@ -109,7 +109,7 @@ def asymmetry(mirror: Mirror, obs: TensorDict, group: str) -> Tensor:
 def test_the_mirror_image_of_the_mirror_image_is_the_thing_itself(env, mirror, seed):
     generator = torch.Generator().manual_seed(seed)
     obs = TensorDict(
-        {name: torch.randn(5, group.size, generator=generator) for name, group in env.observations.groups.items()},
+        {name: torch.randn(5, *group.shape, generator=generator) for name, group in env.observations.groups.items()},
         batch_size=[5],
     )
     action = torch.randn(5, 29, generator=generator)

@@ -137,7 +137,7 @@ def test_far_off_its_tile_a_robot_has_no_ground_of_its_own_and_the_others_keep_t
     torch.testing.assert_close(d.slope, torch.tensor([0.0, 0.0, 40.0]).deg2rad(), atol=2e-5, rtol=0)
 
 
-def test_the_ground_is_that_of_the_level_a_world_is_on():
+def test_the_ground_is_that_of_the_level_an_env_is_on():
     robots = Robots(TerrainGridCfg(columns={"ramp-up": 1.0}, levels=4, num_columns=1).build(), num=4)
     robots.tiles.set_level(torch.arange(4))
     robots.put([[5.0, 0.0]] * 4, [0.0] * 4)

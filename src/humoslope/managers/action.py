@@ -53,7 +53,7 @@ class ActionManager:
 
     def process(self, action: Tensor) -> None:
         """Takes the policy's action [N, J] and sets its joint targets for the control step."""
-        self._watched.add(action, self._env.finite.step)
+        self._watched.add(action.detach(), self._env.finite.step)
         self.previous_action = self.action
         # A copy, since the learner owns the tensor. A diverged policy must not write NaN into the physics.
         self.action = torch.nan_to_num(action, nan=0.0, posinf=100.0, neginf=-100.0)

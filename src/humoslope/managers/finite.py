@@ -29,9 +29,11 @@ class Watched:
         """Looks at the values [N, ...] of a step, one after the other; they are flattened to [N, C]."""
         if self._began is None:
             self._began = step
+        if values.dim() > 2:
+            values = values.flatten(1)
         # 0 times a finite number is 0, and NaN otherwise. Everything happens in place: the tensors are then usable
         # inside and outside of inference mode, wherever they were made.
-        self._poison.addcmul_(values.detach().flatten(1), self._zero)
+        self._poison.addcmul_(values, self._zero)
         column = self._poison.sum(dim=0)  # [C] 0 or NaN
         self._next.masked_fill_(column == 0.0, step + 1)
 

@@ -123,6 +123,8 @@ class ObservationGroup:
         self.stateful = StatefulTerms()
         self._calls = {n: self.stateful.keep(bind("observation", n, t, env)) for n, t in cfg.terms.items()}
         self.term_shapes = {term: self._first_shape(f"{name}.{term}", call) for term, call in self._calls.items()}
+        # The calls that found the shapes belong to no episode.
+        self.stateful.reset(torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
         for term, term_cfg in cfg.terms.items():
             _check_numbers(f"observation '{name}.{term}'", term_cfg)
         rest = next(iter(self.term_shapes.values()))[1:]  # shape beyond dimension 1

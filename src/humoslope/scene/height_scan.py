@@ -1,4 +1,4 @@
-"""The ground around each robot: a yaw-aligned scan, and the plane that lies closest to it."""
+"""Ground around each robot: a yaw-aligned height scan, and the plane that fits it best."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from humoslope.terrain.queries import TerrainQueries
 
 @dataclass
 class HeightScanCfg(StrictCfg):
-    """The points of ground that are scanned.
+    """Points of the ground that are scanned.
 
     Attributes:
-        size: Points along each side of the square grid centred below the root. 7 x 7 = 49, as in the paper's H49.
-        spacing: Distance of the points, m. 0.2: one stride ahead at 0.5 m/s. Ours; the paper does not say.
+        size: Number of points along each side of the square grid centred below the root. 7 x 7 = 49; the paper speaks
+            of a compressed scan H49 and does not describe its layout.
+        spacing: Distance between neighbouring points, m. 0.2 sees one stride ahead at 0.5 m/s. Ours.
         dead_band: Slope up to which the ground counts neither as up nor as down, rad. 3 degrees. Ours.
     """
 
@@ -32,11 +33,11 @@ class HeightScanCfg(StrictCfg):
 
 
 class HeightScan:
-    """Scan and descriptor of the ground around each robot, computed when first asked for after the signals' refresh.
+    """Scan and descriptor of the ground around each robot, computed on first use after a refresh of the signals.
 
-    A point off the robot's own tile reads the ground at the nearest place of the tile, and is not valid. What lies
-    there is another tile, in general at another height: the robot's episode ends before it gets there (`off_tile`), so
-    that a cliff at the edge would tell of nothing to come.
+    A point off the robot's own tile reads the ground at the nearest place of the tile, and is not valid. Beyond the
+    edge lies another tile, in general at another height: the episode ends before the robot gets there (`off_tile`), so
+    a cliff at the edge would announce nothing.
     """
 
     def __init__(self, cfg: HeightScanCfg, signals: Signals, terrain: TerrainQueries, tiles: Tiles) -> None:
@@ -56,20 +57,20 @@ class HeightScan:
 
     @property
     def heights_w(self) -> Tensor:
-        """Height of the ground at each point, world frame, m, [N, P]: rows from right to left, the rearmost first."""
+        """Height of the ground at each point, world frame, m, [N, P]: rows from right to left, the rear row first."""
         self._scan()
         return self._heights_w
 
     @property
     def valid(self) -> Tensor:
-        """Which points lie on the robot's own tile, [N, P] bool."""
+        """Mask of the points on the robot's own tile, [N, P] bool."""
         self._scan()
         own_x, own_y = self._places == self._nearest
         return own_x & own_y
 
     @property
     def descriptor(self) -> Descriptor:
-        """The plane that lies closest to the valid points, [N]."""
+        """Plane that fits the valid points best, [N]."""
         self._scan()
         if self._described is not self._scanned:
             places = self._offsets.expand(len(self._heights_w), -1, -1)

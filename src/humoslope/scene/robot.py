@@ -1,4 +1,4 @@
-"""What the engine needs to know of a robot."""
+"""Description of a robot."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import mujoco
 
 @dataclass(frozen=True)
 class MeshVisual:
-    """A mesh on a link.
+    """Mesh on a link.
 
     Attributes:
-        link: That wears it.
+        link: Name of the link.
         file: Name of an STL file, in metres and in the link's frame.
-        position: Where it is moved to in that frame, m.
         colour: (red, green, blue) in 0..255.
+        position: Offset of the mesh in the link's frame, m.
     """
 
     link: str
@@ -28,14 +28,15 @@ class MeshVisual:
 
 @dataclass(frozen=True)
 class MeshSource:
-    """Where the real look of a robot can be had: a Python package that carries its meshes.
+    """Python package that carries the visual meshes of a robot.
 
     Attributes:
-        package, version: On the package index.
-        sha256: Of its wheel, hexadecimal.
-        folder: Of the meshes in the wheel.
-        visuals: Every mesh on its link.
-        licence: What the user should know of their licence.
+        package: Name on the package index.
+        version: Version on the package index.
+        sha256: Checksum of the wheel, hexadecimal.
+        folder: Folder of the meshes in the wheel.
+        visuals: Meshes and their links.
+        licence: Note on the licence of the meshes, for the user.
     """
 
     package: str
@@ -46,31 +47,33 @@ class MeshSource:
     licence: str
 
 
-@dataclass(frozen=True, eq=False)  # hashed by identity: it is a key of caches that are asked at every step
+@dataclass(frozen=True, eq=False)  # hashed by identity: caches that are read in every step use it as a key
 class Robot:
-    """A legged robot, described once; every tuple over joints follows `joint_names`.
+    """Legged robot; every tuple over joints follows `joint_names`.
 
     Attributes:
-        name: Shown in tables and messages.
-        make_spec: Builds a fresh `MjSpec`: a free joint on `root_body`, one position actuator per joint (same names and
-            order as `joint_names`), a site at each sole, and no ground.
-        urdf: The same links and joints with shapes to draw, for viewers.
-        meshes: Where its real look can be had, if anywhere.
-        root_body: The body that carries the free joint.
-        torso_body: The body that carries the upper body; the harness acts on it.
-        imu_site: Where angular velocity and gravity are measured.
-        foot_bodies: Left and right foot.
-        foot_sites: Left and right sole centre, z axis up out of the foot.
+        name: Name in tables and messages.
+        make_spec: Function that builds a fresh `MjSpec`: a free joint on `root_body`, one position actuator per joint
+            (same names and order as `joint_names`), a site at each sole, the sensors of
+            `humoslope.scene.sensors.add_robot_sensors`, and no ground.
+        urdf: Path of a URDF with the same links and joints and with visual shapes, for viewers.
+        root_body: Name of the body with the free joint.
+        torso_body: Name of the body that carries the upper body; the harness acts on it.
+        imu_site: Name of the site at which angular velocity and gravity are measured.
+        foot_bodies: Names of the left and the right foot.
+        foot_sites: Names of the left and the right sole centre, z axis up out of the foot.
         foot_geoms: Names of the geoms that touch the ground under the left and the right foot.
-        shin_bodies: Left and right lower leg; only these and the feet may touch the ground without it being a fall.
-        joint_names: The actuated joints, in the order of actions and of the deployed controller.
-        default_joint_pos: Pose that a zero action holds, rad.
-        default_root_height: Height of `root_body` over the soles' ground in that pose, m.
-        action_scale: Joint target moved by one unit of action, rad.
-        stiffness: Position gain, Nm/rad.
-        damping: Velocity gain, Nm s/rad.
-        effort_limit: Largest joint torque, Nm.
-        total_mass: kg.
+        shin_bodies: Names of the left and the right lower leg; only these and the feet may touch the ground without it
+            being a fall.
+        joint_names: Names of the actuated joints, in the order of actions and of the deployed controller.
+        default_joint_pos: Joint positions of a zero action, rad.
+        default_root_height: Height of `root_body` above level ground in that pose, m.
+        action_scale: Change of the joint target per unit of action, rad.
+        stiffness: Position gains, Nm/rad.
+        damping: Velocity gains, Nm s/rad.
+        effort_limit: Highest joint torques, Nm.
+        total_mass: Mass of the whole robot, kg.
+        meshes: Source of its visual meshes, if there is one.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Robot and terrain, put together into one compiled model."""
+"""Robot and terrain in one compiled model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def build_model(
         cone: Shape of the friction cone.
 
     Raises:
-        UserError: If there is no such cone.
+        UserError: If the cone is unknown.
     """
     if cone not in CONES:
         raise unknown("friction cone", cone, CONES)

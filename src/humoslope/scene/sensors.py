@@ -1,4 +1,4 @@
-"""The MuJoCo sensors behind the named signals, added to any robot's spec."""
+"""MuJoCo sensors behind the named signals, for any robot's spec."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIDES = ("left", "right")
 
 
 def add_robot_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Adds joint, root, centre-of-mass and foot sensors, under the names that `Signals` reads."""
+    """Adds the joint, root, centre-of-mass and foot sensors that `Signals` reads by name."""
 
     def add(name: str, kind: mjtSensor, objtype: mjtObj, objname: str) -> None:
         spec.add_sensor(name=name, type=kind, objtype=objtype, objname=objname)
@@ -41,7 +41,7 @@ def add_robot_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Adds the net ground force on each foot, each shin and the whole robot, world frame.
+    """Adds sensors of the net ground force on each foot, each shin and the whole robot, in the world frame.
     The terrain geom must be in the spec."""
     for signal, bodies in (("foot_force_w", robot.foot_bodies), ("shin_force_w", robot.shin_bodies)):
         for side, body in zip(SIDES, bodies, strict=True):

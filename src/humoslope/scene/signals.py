@@ -14,32 +14,41 @@ from humoslope.slope import quaternion
 from humoslope.terrain.queries import TerrainQueries
 
 CONTACT_FORCE = 1.0
-"""A foot is in contact above this force, N (as in Unitree RL Lab and Isaac Lab)."""
+"""Force above which a foot is in contact, N (as in Unitree RL Lab and Isaac Lab)."""
 
 
 class Signals:
-    """What terms read of the world. `refresh` takes everything anew;
-    the tensors of the last refresh are never written again. What the policy does not observe is computed when first
-    asked for: a second refresh, after resets, then costs no more than it must.
+    """State of the robots as terms read it, all of one instant.
 
-    Frames: `_w` world, `_b` root body, `_t` along the ground:
-    forward in the heading direction, left, and out of the slope.
+    `refresh` replaces every tensor; those of the refresh before are never written again. Signals that the policy does
+    not observe are computed on first use, which keeps the second refresh of a step, after resets, cheap.
+
+    Frames: `_w` world, `_b` root body, `_t` along the ground: forward in the heading direction, left, out of the slope.
 
     Attributes:
-        joint_pos, joint_vel, joint_torque: [N, J] rad, rad/s, Nm.
-        root_pos_w, root_quat_w, root_lin_vel_w, root_ang_vel_b: [N, 3 or 4].
-        root_lin_vel_b: [N, 3] m/s.
+        joint_pos: [N, J] joint positions, rad.
+        joint_vel: [N, J] joint velocities, rad/s.
+        joint_torque: [N, J] actuator torques, Nm.
+        root_pos_w: [N, 3] position of the root, m.
+        root_quat_w: [N, 4] orientation of the root.
+        root_lin_vel_w: [N, 3] velocity of the root, m/s.
+        root_lin_vel_b: [N, 3] velocity of the root, m/s.
+        root_ang_vel_b: [N, 3] angular velocity at the IMU, rad/s.
         projected_gravity_b: [N, 3] unit vector of gravity in the root frame.
-        heading_w: [N] yaw, rad.
-        root_height: [N] root above the ground below it, m.
-        torso_quat_w, torso_ang_vel_w: [N, 4], [N, 3] rad/s.
-        com_pos_w, com_lin_vel_w: [N, 3] of the whole robot.
-        com_height: [N] centre of mass above the ground below it, m.
-        foot_pos_w, foot_normal_w, foot_lin_vel_w, foot_force_w: [N, 2, 3] sole centre, sole's up axis, m/s, ground
-            force in N.
-        foot_force: [N, 2] its magnitude, N.
-        foot_height: [N, 2] sole centre above the ground below it, m.
-        foot_contact: [N, 2] bool.
+        heading_w: [N] yaw of the root, rad.
+        root_height: [N] height of the root above the ground below it, m.
+        torso_quat_w: [N, 4] orientation of the torso.
+        torso_ang_vel_w: [N, 3] angular velocity of the torso, rad/s.
+        com_pos_w: [N, 3] centre of mass of the whole robot, m.
+        com_lin_vel_w: [N, 3] velocity of the centre of mass, m/s.
+        com_height: [N] height of the centre of mass above the ground below it, m.
+        foot_pos_w: [N, 2, 3] sole centres, left and right, m.
+        foot_normal_w: [N, 2, 3] up axes of the soles.
+        foot_lin_vel_w: [N, 2, 3] velocities of the sole centres, m/s.
+        foot_force_w: [N, 2, 3] ground forces on the feet, N.
+        foot_force: [N, 2] magnitudes of the ground forces, N.
+        foot_height: [N, 2] heights of the sole centres above the ground below them, m.
+        foot_contact: [N, 2] bool, whether the ground force exceeds `CONTACT_FORCE`.
     """
 
     def __init__(self, sim: Simulation, robot: Robot, terrain: TerrainQueries) -> None:
@@ -60,14 +69,14 @@ class Signals:
         )
         self.refresh()
 
-    def refresh(self, broken: Tensor | None = None) -> None:
+    def refresh(self, diverged: Tensor | None = None) -> None:
         """Reads the simulation and derives everything from it.
 
         Args:
-            broken: [N] bool; worlds that diverged. They read zero, so that nothing spreads into sums over worlds
-                before they are reset.
+            diverged: [N] bool; envs that diverged, none by default. Their readings become zero, so that no NaN spreads
+                into sums over envs before they are reset.
         """
-        data = _fresh(self._sensordata, broken)
+        data = _fresh(self._sensordata, diverged)
         take = self._slices
 
         def feet(name: str) -> Tensor:
@@ -76,7 +85,7 @@ class Signals:
 
         self.joint_pos = data[:, self._joint_pos]
         self.joint_vel = data[:, self._joint_vel]
-        self.joint_torque = _fresh(self._actuator_force, broken)
+        self.joint_torque = _fresh(self._actuator_force, diverged)
         self.root_pos_w = data[:, take["root_pos_w"]]
         self.root_quat_w = data[:, take["root_quat_w"]]
         self.root_lin_vel_w = data[:, take["root_lin_vel_w"]]
@@ -105,7 +114,7 @@ class Signals:
     def _refresh_ground(self) -> None:
         root = self.root_pos_w[:, None]
         points = torch.cat([root, self.com_pos_w[:, None], self.foot_pos_w], dim=1)  # [N, 4, 3]
-        # One lookup for all of it: what a lookup costs hardly depends on the number of points.
+        # One lookup for all of it: the cost of a lookup hardly depends on the number of points.
         places = torch.cat([points[:, :, :2], self._terrain.around(root[:, 0, :2])], dim=1)  # [N, 8, 2]
         ground = self._terrain.height(places)
         height = points[:, :, 2] - ground[:, :4]
@@ -138,7 +147,7 @@ class Signals:
         return (self._body_force_w - self._shin_force_w.sum(dim=1)).norm(dim=1)
 
     def along_ground(self, v: Tensor) -> Tensor:
-        """Vectors `v` [N, 3] of the world frame, in the slope frame of the robot's heading:
+        """Returns vectors `v` [N, 3] of the world frame in the slope frame of the robot's heading:
         forward, left, out of the ground."""
         return (self._along_ground * v[:, None]).sum(dim=2)
 
@@ -170,6 +179,6 @@ class Signals:
 _ON_DEMAND = [name for name, value in vars(Signals).items() if isinstance(value, cached_property)]
 
 
-def _fresh(reading: Tensor, broken: Tensor | None) -> Tensor:
-    """A copy of a live reading [N, d], zero where `broken` [N] holds."""
-    return reading.clone() if broken is None else reading.masked_fill(broken[:, None], 0.0)
+def _fresh(reading: Tensor, diverged: Tensor | None) -> Tensor:
+    """A copy of a live reading [N, d], zero where `diverged` [N] holds."""
+    return reading.clone() if diverged is None else reading.masked_fill(diverged[:, None], 0.0)

@@ -1,4 +1,4 @@
-"""Which tile of the terrain each world is on."""
+"""Assignment of the envs to the tiles of the terrain."""
 
 from __future__ import annotations
 
@@ -9,29 +9,32 @@ from humoslope.terrain.grid import Terrain
 
 
 class Tiles:
-    """The tile of each world: its column (kind of ground) stays, its level (difficulty) may change at a reset.
+    """Tile of each env: its column (kind of ground) is fixed, its level (difficulty) may change at a reset.
+
+    Isaac Lab calls them `terrain_types` and `terrain_levels`.
 
     Attributes:
-        level, column: [N] int64.
+        level: [N] int64, difficulty of the tile.
+        column: [N] int64, column of tiles, each with one kind of ground.
         origin_w: [N, 3] start of the tile's centre line, m.
         grade: [N] nominal grade, rad.
-        num_levels: Levels there are.
-        length, width: Extent of a tile, m.
-        spawn_x: Where worlds start, m from the tile's start.
+        num_levels: Number of levels.
+        length: Extent of a tile along x, m.
+        width: Extent of a tile along y, m.
+        spawn_x: Distance of the spawn place from the tile's start, m.
     """
 
-    def __init__(self, terrain: Terrain, num_worlds: int, device: torch.device) -> None:
+    def __init__(self, terrain: Terrain, num_envs: int, device: torch.device) -> None:
         self._origins = torch.as_tensor(terrain.tile_origin, dtype=torch.float32, device=device)  # [L, C, 3]
         self._grades = torch.deg2rad(torch.as_tensor(terrain.grade, dtype=torch.float32, device=device))  # [L, C]
         self.num_levels, columns = self._grades.shape
         self.length, self.width, self.spawn_x = terrain.tile_length, terrain.tile_width, terrain.spawn_x
-        # Worlds are dealt out over the columns evenly, whatever their number.
-        self.column = torch.arange(num_worlds, device=device) * columns // num_worlds
-        self.kinds = list(terrain.kind)
-        self.set_level(torch.zeros(num_worlds, dtype=torch.int64, device=device))
+        # Spreads the envs evenly over the columns, whatever their number.
+        self.column = torch.arange(num_envs, device=device) * columns // num_envs
+        self.set_level(torch.zeros(num_envs, dtype=torch.int64, device=device))
 
     def set_level(self, level: Tensor) -> None:
-        """Puts each world on its column's tile of that level [N]. A world is only moved there at its next reset."""
+        """Assigns each env the tile of that level [N] in its column. Its robot moves there at its next reset."""
         self.level = level
         self.origin_w = self._origins[level, self.column]
         self.grade = self._grades[level, self.column]

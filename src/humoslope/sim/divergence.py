@@ -1,4 +1,4 @@
-"""What a world did before its physics went wrong."""
+"""Record of the states before physics diverges."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import torch
 from torch import Tensor
 
 STEPS = 10
-"""Control steps of state that are kept."""
+"""Number of control steps that are kept."""
 
 
 class DivergenceRecorder:
-    """Keeps the last states of all worlds, and those of the first world that diverged.
-    Only `take` waits for the device."""
+    """Ring buffer of the last states of all worlds, and a copy of those of the first world that diverged.
+    Only `take` waits for the device.
+
+    Args:
+        qpos: [N, nq], for its size.
+        qvel: [N, nv], for its size.
+    """
 
     def __init__(self, qpos: Tensor, qvel: Tensor) -> None:
         self._nq = qpos.shape[1]
@@ -22,24 +27,24 @@ class DivergenceRecorder:
         self._kept = torch.zeros((), dtype=torch.bool, device=qpos.device)
 
     def add(self, qpos: Tensor, qvel: Tensor) -> None:
-        """Takes the states of a control step."""
+        """Adds the states of a control step."""
         newest = self._ring[self._steps % STEPS]
         newest[:, : self._nq].copy_(qpos)
         newest[:, self._nq :].copy_(qvel)
         self._steps += 1
 
-    def keep(self, broken: Tensor) -> None:
-        """Keeps the last states of the first world in `broken` [N], if any."""
-        first = broken.to(torch.uint8).argmax(dim=0, keepdim=True)
+    def keep(self, diverged: Tensor) -> None:
+        """Copies the last states of the first world in `diverged` [N], if any, unless there is a copy already."""
+        first = diverged.to(torch.uint8).argmax(dim=0, keepdim=True)
         states = self._ring.index_select(1, first).squeeze(1).roll(-(self._steps % STEPS), 0)  # oldest first
-        fresh = broken.any() & ~self._kept
+        fresh = diverged.any() & ~self._kept
         self._states = torch.where(fresh, states, self._states)
         self._kept = self._kept | fresh
 
     def take(self) -> tuple[Tensor, Tensor] | None:
-        """qpos [K, nq] and qvel [K, nv] of the first world that diverged since the last call, oldest first, or None.
+        """Returns qpos [K, nq] and qvel [K, nv] of the first world that diverged since the last call, or None.
 
-        Steps before the environment began are zero.
+        The oldest state comes first; steps before the first one are zero.
         """
         if not self._kept.item():
             return None
