@@ -106,7 +106,7 @@ def randomisation() -> Terms[EventTermCfg]:
         com=EventTermCfg(events.randomize_com, {"body": "torso_link", "offset": 0.03}, mode="startup"),
         gains=EventTermCfg(events.randomize_gains, {"stiffness": (0.9, 1.1), "damping": (0.9, 1.1)}, mode="startup"),
         friction=EventTermCfg(events.randomize_friction, {"friction": (0.3, 1.6), "slope_margin": 0.15}),
-        root=EventTermCfg(events.reset_on_tile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
+        root=EventTermCfg(events.ResetOnTile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
         joints=EventTermCfg(events.reset_joints, {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}),
         push=EventTermCfg(events.push, {"speed": 0.5}, mode="interval", interval_s=(5.0, 8.0)),
         harness=EventTermCfg(harness.Harness, mode="step"),

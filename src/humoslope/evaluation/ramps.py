@@ -170,7 +170,7 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol) -> EnvCfg:
         ),
         events=Terms(
             friction=EventTermCfg(events.randomize_friction, friction, mode="startup"),
-            root=EventTermCfg(events.reset_on_tile, START),
+            root=EventTermCfg(events.ResetOnTile, START),
             joints=EventTermCfg(events.reset_joints, START_JOINTS),
         ),
         curriculum=Terms(),

@@ -15,6 +15,7 @@ class Tiles:
         level, column: [N] int64.
         origin_w: [N, 3] start of the tile's centre line, m.
         grade: [N] nominal grade, rad.
+        steepest: [N] largest inclination over the length of a stance, rad.
         num_levels: Levels there are.
         length, width: Extent of a tile, m.
         spawn_x: Where worlds start, m from the tile's start.
@@ -23,6 +24,7 @@ class Tiles:
     def __init__(self, terrain: Terrain, num_worlds: int, device: torch.device) -> None:
         self._origins = torch.as_tensor(terrain.tile_origin, dtype=torch.float32, device=device)  # [L, C, 3]
         self._grades = torch.deg2rad(torch.as_tensor(terrain.grade, dtype=torch.float32, device=device))  # [L, C]
+        self._steepest = torch.deg2rad(torch.as_tensor(terrain.steepest, dtype=torch.float32, device=device))  # [L, C]
         self.num_levels, columns = self._grades.shape
         self.length, self.width, self.spawn_x = terrain.tile_length, terrain.tile_width, terrain.spawn_x
         # Worlds are dealt out over the columns evenly, whatever their number.
@@ -35,3 +37,4 @@ class Tiles:
         self.level = level
         self.origin_w = self._origins[level, self.column]
         self.grade = self._grades[level, self.column]
+        self.steepest = self._steepest[level, self.column]
