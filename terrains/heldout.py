@@ -41,7 +41,7 @@ WAVE_AMPLITUDE, WAVELENGTH = 0.04, 1.2  # m; training draws wavelengths and phas
 BUMP, BUMP_SPACING = 0.03, 0.15  # m; training spaces them by 0.2
 RIB, RIB_PERIOD = 0.025, 0.45  # m; training has 0.4 and 0.5
 BANK = 8.0
-"""Sideways tilt, degrees; beyond about 12 no foot of the G1 lies flat. The left side is higher first, then the right."""
+"""Sideways tilt, degrees; beyond about 12 no foot of the G1 lies flat. The left is higher first, then the right."""
 BANK_AT = (0.0, 0.5, 1.1, 1.9, 2.5, 3.0)
 BANK_SHARE = (0.0, 1.0, 1.0, -1.0, -1.0, 0.0)
 """Places in the banked segment, m, and shares of the tilt there; ground that twists faster is steep off its middle."""

@@ -1,4 +1,4 @@
-"""Ranges of parameters, declared once at the parameter: `speed: NotNegative`, `soft: Annotated[float, Range(0.0, 1.0)]`.
+"""Ranges of parameters, declared at the parameter: `speed: NotNegative`, `soft: Annotated[float, Range(0.0, 1.0)]`.
 
 A declaration is the metadata of an `Annotated` type. It serves parameters of terms, which `managers.terms.bind` checks
 when the term is built, and fields of configuration dataclasses, which `check_fields` checks.
@@ -156,9 +156,8 @@ class _Names(dict[str, Any]):
 
 
 def _faults(value: Any, hint: Any, env: Any) -> list[str]:
-    declarations = (
-        [d for d in get_args(hint)[1:] if isinstance(d, Declaration)] if get_origin(hint) is Annotated else []
-    )
+    metadata = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+    declarations = [part for part in metadata if isinstance(part, Declaration)]
     faults = [declaration.fault(value, env) for declaration in declarations]
     if get_origin(hint) is Literal and value not in get_args(hint):
         faults.append(f"it must be {' or '.join(repr(choice) for choice in get_args(hint))}")

@@ -24,8 +24,8 @@ INK = "#333333"
 def run(name: str, out: Path, *, seed: int = 0) -> Path:
     """Writes a PNG of a registered terrain: profiles along the centre line, and relief coloured by the local grade.
 
-    A terrain of one grade is drawn once, any other at `DIFFICULTIES`, on tiles of the default size. A course has its own
-    size, and its segments are named.
+    A terrain of one grade is drawn once, any other at `DIFFICULTIES`, on tiles of the default size. A course has its
+    own size, and its segments are named.
 
     Args:
         name: Name of the terrain.
@@ -41,8 +41,11 @@ def run(name: str, out: Path, *, seed: int = 0) -> Path:
     kind = registry.find(name)
     difficulties = DIFFICULTIES[:1] if kind.grade[0] == kind.grade[1] else DIFFICULTIES
     drawn = course.find(name) if course.is_course(name) else None
-    size = drawn.ground(()) if drawn is not None else TerrainGridCfg(columns={name: 1.0})
-    x, y = tile_points(size.tile_length, size.tile_width, size.cell)
+    if drawn is not None:
+        x, y = tile_points(drawn.length, drawn.width, drawn.cell)
+    else:
+        grid = TerrainGridCfg(columns={name: 1.0})
+        x, y = tile_points(grid.tile_length, grid.tile_width, grid.cell)
     tiles = []
     for level, difficulty in enumerate(difficulties):
         grade = kind.grade_at(difficulty)

@@ -30,7 +30,7 @@ LONGEST = 60.0
 
 @dataclass(frozen=True)
 class Terrain:
-    """Height field in the world frame, made of tiles; levels lie along world x, the direction of travel, columns along y.
+    """Height field of tiles, in the world frame; levels lie along world x, the direction of travel, columns along y.
 
     Attributes:
         heights: [nx, ny] float32, m; the first index runs along x.
@@ -181,7 +181,7 @@ def _check_extents(layout: TerrainGridCfg | TileRowCfg) -> None:
             raise UserError(f"terrain: {field}, {extent} m, must be a whole number of cells of {layout.cell} m.")
     if layout.tile_length <= SPAWN_X:
         raise UserError(
-            f"terrain: tile_length is {layout.tile_length} m; robots start at {SPAWN_X} m, so it must be longer than that."
+            f"terrain: tile_length is {layout.tile_length} m; robots start at {SPAWN_X} m, so it must be longer."
         )
     if not 0.0 <= layout.border < math.inf:
         raise UserError(f"terrain: border is {layout.border} m; it must be 0 or more.")
@@ -238,18 +238,20 @@ def steepest(heights: NDArray[np.floating[Any]], cell: float) -> float:
         heights: [nx, ny] m.
         cell: Distance between neighbouring heights, m.
     """
-    steps = max(1, round(STANCE / cell))
-    rise_x, rise_y = (_rises(heights.astype(np.float64), steps, axis) for axis in (0, 1))
-    return math.degrees(math.atan(float(np.hypot(rise_x, rise_y).max()) / (steps * cell)))
+    along_x, along_y = (_slopes(heights.astype(np.float64), cell, axis) for axis in (0, 1))
+    return math.degrees(math.atan(float(np.hypot(along_x, along_y).max())))
 
 
-def _rises(heights: registry.Array, steps: int, axis: int) -> registry.Array:
-    """Difference in height to the place `steps` further along an axis, in the shape of `heights`, m. Where that would be
-    off the tile, the last one on the tile holds."""
+def _slopes(heights: registry.Array, cell: float, axis: int) -> registry.Array:
+    """Rise per metre along an axis from every place over a stance, in the shape of `heights`.
+
+    Near the end of the tile it is that of the last stance on it; a tile shorter than a stance is one itself.
+    """
     size = heights.shape[axis]
-    steps = min(steps, size - 1)
+    steps = min(max(1, round(STANCE / cell)), size - 1)
     start = np.minimum(np.arange(size), size - 1 - steps)
-    return np.take(heights, start + steps, axis) - np.take(heights, start, axis)
+    rise: registry.Array = np.take(heights, start + steps, axis) - np.take(heights, start, axis)
+    return rise / (steps * cell)
 
 
 def _keeps_slope(heights: registry.Array, cell: float, grade: float) -> bool:
