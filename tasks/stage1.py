@@ -52,9 +52,11 @@ def actor_group() -> ObservationGroupCfg:
 
 
 def critic_group() -> ObservationGroupCfg:
-    """Proprioception without noise, and what only a simulator knows: velocity, contacts, friction, and the ground around
-    the robot (H49, as in `observations.height_scan`). The paper gives H49 to the critic of Stage II; Stage I's has it
-    too, which is ours."""
+    """Proprioception without noise, and what only a simulator knows: velocity, contacts, friction, and the ground.
+
+    The ground is the paper's H49 as in `observations.height_scan`. The paper does not say which stage's critic gets it;
+    ours has it from Stage I on.
+    """
     terms = proprioception()
     terms.base_lin_vel = ObservationTermCfg(observations.base_lin_vel)
     terms.foot_contact = ObservationTermCfg(observations.foot_contact)
@@ -99,7 +101,7 @@ def base_rewards() -> Terms[RewardTermCfg]:
 
 
 def falls() -> Terms[TerminationTermCfg]:
-    """Terminations: failures if the robot is down or about to be, time-outs at the end of the episode and of the tile."""
+    """Failures if the robot is down or about to be; time-outs at the end of the episode and at the edge of the tile."""
     return Terms(
         time_out=TerminationTermCfg(terminations.time_out, time_out=True),
         off_tile=TerminationTermCfg(terminations.off_tile, {"margin": 0.3}, time_out=True),

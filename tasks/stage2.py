@@ -38,7 +38,7 @@ from terrains.stage2 import stage2 as stage2_terrain
 def critic_with_cue() -> ObservationGroupCfg:
     """Stage I's critic with the terrain descriptor added.
 
-    The paper calls Stage II's critic upgraded by height scan and descriptor; ours has the scan from Stage I on.
+    The scan H49 is in Stage I's critic already; the paper has both in that of Stage II.
     """
     group = critic_group()
     group.terms.terrain_descriptor = ObservationTermCfg(observations.terrain_descriptor)

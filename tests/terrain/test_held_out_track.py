@@ -11,6 +11,7 @@ from humoslope.registry import all_tasks, build_task
 from humoslope.terrain import TerrainGridCfg, course, registry
 from humoslope.terrain.grid import tile_points
 from terrains.heldout import BANK, BUMP, CELL, SEED, SEGMENTS, WIDTH
+from tests.terrain.ground import TRAINING
 
 X, Y = tile_points(35.0, WIDTH, CELL)
 MIDDLE = Y.shape[1] // 2
@@ -92,7 +93,7 @@ def test_the_banked_slope_tilts_to_one_side_and_then_to_the_other() -> None:
 # What training has seen
 
 
-@pytest.mark.parametrize("name", [n for n in registry.names() if registry.find(n).training])
+@pytest.mark.parametrize("name", TRAINING)
 def test_no_training_terrain_is_the_track_at_any_grade_or_seed(name: str) -> None:
     kind = registry.find(name)
     tracks = [heights(grade) for grade in (0.0, 10.0, 20.0, 30.0)]
@@ -113,4 +114,4 @@ def test_no_seed_of_training_draws_the_bumps_of_the_track(seed: int, column: int
 def test_no_task_trains_on_the_track(name: str) -> None:
     terrain = build_task(name).env.scene.terrain
     assert isinstance(terrain, TerrainGridCfg)
-    assert set(terrain.columns) <= set([n for n in registry.names() if registry.find(n).training])
+    assert set(terrain.columns) <= set(TRAINING)

@@ -33,8 +33,7 @@ def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:
         size = [half_x, half_y, 1.0]
         spec.worldbody.add_geom(name=TERRAIN_GEOM, type=mujoco.mjtGeom.mjGEOM_PLANE, size=size, pos=centre, **contact)
         return
-    # MuJoCo wants a positive range even where all heights are the same.
-    span = float(terrain.heights.max()) - low or 0.01
+    span = float(terrain.heights.max()) - low
     fractions = (terrain.heights.astype(np.float64) - low) / span
     spec.add_hfield(
         name=TERRAIN_GEOM,
