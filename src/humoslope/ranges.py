@@ -121,14 +121,16 @@ def check_params(where: str, func: Callable[..., Any], params: Mapping[str, Any]
 
 
 def check_fields(where: str, cfg: Any) -> None:
-    """Checks the fields of a configuration dataclass (`cfg` itself, nothing that is nested in it).
+    """Checks the fields of a configuration dataclass; what mappings hold, such as `params`, is left out.
 
     Raises:
         UserError: At the first one that is not acceptable.
     """
     hints = hints_of(type(cfg))
     for field in dataclasses.fields(cfg):
-        check(where, field.name, getattr(cfg, field.name), hints.get(field.name))
+        value = getattr(cfg, field.name)
+        if not isinstance(value, Mapping):
+            check(where, field.name, value, hints.get(field.name))
 
 
 def hints_of(thing: Callable[..., Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from types import SimpleNamespace
 
 import mujoco
@@ -199,7 +200,7 @@ def test_a_tile_without_room_is_refused_with_the_length_or_width_that_would_do(
             if not starts_inside:
                 assert "within" in said
                 return
-            number = float(said.split("must be at least ")[1].split(" m")[0])
+            number = float(re.search(r"must be at least (\S+) m", said)[1])
             assert not room
             if "tile_length" in said:
                 assert number > length
@@ -213,13 +214,21 @@ def test_a_tile_without_room_is_refused_with_the_length_or_width_that_would_do(
     assert starts_inside
 
 
+def widest_margin(cfg):
+    cfg.terminations.off_tile.params["margin"] = 5.0
+
+
+def far_across(cfg):
+    cfg.events.root.params["across"] = (-3.0, 3.0)
+
+
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        (lambda cfg: setattr(cfg.terminations.off_tile, "params", {"margin": 5.0}), "event 'root': robots start from 0.6 m"),
-        (lambda cfg: setattr(cfg.events.root, "params", cfg.events.root.params | {"across": (-3.0, 3.0)}), "tile_width must be at least 6.6 m"),
+        (widest_margin, "event 'root': robots start from 0.6 m on, but within 5 m of the tile's edge"),
+        (far_across, "event 'root': the tile is 5 m wide; .* tile_width must be at least 6.6 m"),
     ],
-)  # fmt: skip
+)
 def test_an_environment_without_room_for_its_robots_is_refused_when_it_is_built(make_stage1, override, said):
     with pytest.raises(UserError, match=said):
         make_stage1(4, override)
