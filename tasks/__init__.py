@@ -1,4 +1,4 @@
-"""One file per registered task; a new file is registered by being here."""
+"""Registered tasks; every file in this folder is imported."""
 
 from humoslope.plugins import import_all
 

@@ -1,4 +1,8 @@
-"""Stage I: learn to balance and walk, blind, on mixed slopes (paper, section 3.1)."""
+"""Stage I: learn to balance and walk, blind, on mixed slopes (paper, section 3.1).
+
+Beyond the paper are the harness, the left/right symmetry augmentation of both stages (`AgentCfg.symmetry`), and the
+number of every weight.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,7 @@ PROPRIOCEPTION = {
 
 
 def proprioception() -> Terms[ObservationTermCfg]:
-    """What the robot measures itself; all the actor ever sees."""
+    """Quantities that the robot measures itself; the actor observes nothing else."""
     return Terms(
         **{
             name: ObservationTermCfg(func, noise=noise, scale=scale)
@@ -48,8 +52,11 @@ def actor_group() -> ObservationGroupCfg:
 
 
 def critic_group() -> ObservationGroupCfg:
-    """Clean proprioception and what only a simulator knows:
-    velocity, contacts, friction, and H49, the ground around the robot."""
+    """Proprioception without noise, and what only a simulator knows: velocity, contacts, friction, and the ground.
+
+    The ground is the paper's H49 as in `observations.height_scan`. The paper does not say which stage's critic gets it;
+    ours has it from Stage I on.
+    """
     terms = proprioception()
     terms.base_lin_vel = ObservationTermCfg(observations.base_lin_vel)
     terms.foot_contact = ObservationTermCfg(observations.foot_contact)
@@ -61,8 +68,12 @@ def critic_group() -> ObservationGroupCfg:
 
 
 def base_rewards() -> Terms[RewardTermCfg]:
-    """Unitree RL Lab's list with these changes: velocity and height refer to the ground; the pelvis may lean with
-    the slope; instead of a gait clock that the policy cannot see, time on one leg is rewarded; a fall costs."""
+    """Rewards of both stages, per second. The list started from Unitree RL Lab's (`tasks/url.py`); the rest is ours.
+
+    Changed terms: velocity and height refer to the ground; the pelvis may lean with the slope; time on one leg replaces
+    a gait clock that the policy cannot observe; a fall costs; joint velocities do not. Of the weights only those of
+    alive, angular velocity, energy, arm deviation, foot slide and body contact are Unitree's.
+    """
     return Terms(
         track_velocity=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
         track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=1.0),
@@ -90,7 +101,7 @@ def base_rewards() -> Terms[RewardTermCfg]:
 
 
 def falls() -> Terms[TerminationTermCfg]:
-    """An episode fails when the robot is down or about to be; it merely ends at its time or at the tile's edge."""
+    """Failures if the robot is down or about to be; time-outs at the end of the episode and at the edge of the tile."""
     return Terms(
         time_out=TerminationTermCfg(terminations.time_out, time_out=True),
         off_tile=TerminationTermCfg(terminations.off_tile, {"margin": 0.3}, time_out=True),
@@ -100,13 +111,13 @@ def falls() -> Terms[TerminationTermCfg]:
 
 
 def randomisation() -> Terms[EventTermCfg]:
-    """What differs from world to world and from episode to episode, and the harness."""
+    """Randomisation of the envs and of the starts of episodes, pushes, and the harness."""
     return Terms(
         mass=EventTermCfg(events.randomize_mass, {"body": "torso_link", "added": (-1.0, 3.0)}, mode="startup"),
         com=EventTermCfg(events.randomize_com, {"body": "torso_link", "offset": 0.03}, mode="startup"),
         gains=EventTermCfg(events.randomize_gains, {"stiffness": (0.9, 1.1), "damping": (0.9, 1.1)}, mode="startup"),
         friction=EventTermCfg(events.randomize_friction, {"friction": (0.3, 1.6), "slope_margin": 0.15}),
-        root=EventTermCfg(events.reset_on_tile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
+        root=EventTermCfg(events.ResetOnTile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
         joints=EventTermCfg(events.reset_joints, {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}),
         push=EventTermCfg(events.push, {"speed": 0.5}, mode="interval", interval_s=(5.0, 8.0)),
         harness=EventTermCfg(harness.Harness, mode="step"),

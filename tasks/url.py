@@ -1,13 +1,13 @@
 """Unitree RL Lab's velocity task as a baseline: its rewards, observations, terminations and PPO on Stage I's worlds.
 
-Robot, gains, action scale, ground, commands, randomisation and harness are Stage I's, so that the two differ in what is
-rewarded and learnt from and in nothing else. Two things could not be kept: contacts of the body count once a step, not
-once for each part that touches, since the ground force on everything but the feet is one signal; and Unitree's command
-curriculum, which starts with commands around zero, is left out: tiles are walked in one direction, and both the harness
-and the levels are earned by walking.
+Robot, gains, action scale, ground, commands, randomisation and harness are Stage I's, so that the two differ in
+rewards, observations of the critic, terminations and PPO only. Two departures from the published task: contacts of the
+body count once a step, not once for each part that touches, since the ground force on everything but the feet is one
+signal; and Unitree's command curriculum, which starts with commands around zero, is left out, because tiles are walked
+in one direction, and the harness is withdrawn and levels are earned by walking.
 
-From nothing, on a few million samples, these tasks learn to stand still. `--init` with an early checkpoint of Stage I
-lets them start from its first steps (experiments/log.md, "The baseline").
+Trained from scratch on a few million samples, these tasks learn to stand still. `--init` with an early checkpoint of
+Stage I starts them from a policy that takes steps (experiments/log.md, "The baseline").
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from tasks.stage1 import actor_group, falls, proprioception, randomisation
 from terrains.stage1 import stage1 as stage1_terrain
 
 ROOT_HEIGHT = {"target": 0.78}
-"""m."""
+"""Target height of the root, m."""
 LOWEST_ROOT = {"height": 0.2}
-"""m."""
+"""Height of the root below which the robot has fallen, m."""
 CLEARANCE = {"target": 0.1 + SOLE_CENTRE[2], "std": math.sqrt(0.05), "speed_scale": 2.0}
-"""Unitree means the ankle by "foot height", and aims at 0.1 m."""
+"""Target height of the sole, m: Unitree's "foot height" is that of the ankle, with a target of 0.1 m."""
 
 
 def critic_group() -> ObservationGroupCfg:
-    """Velocity, and what the actor sees without its noise, over as many steps."""
+    """Velocity and the actor's observations without noise, over the same number of steps."""
     terms = {"base_lin_vel": ObservationTermCfg(observations.base_lin_vel)} | dict(proprioception().items())
     return ObservationGroupCfg(terms=Terms(**terms), history=5)
 
 
 def url_rewards() -> Terms[RewardTermCfg]:
-    """The published list with its weights, per second."""
+    """The published list with its weights, per second (July 2025, see `mdp/unitree_rl_lab.py`)."""
     return Terms(
         track_velocity=RewardTermCfg(unitree_rl_lab.track_horizontal_velocity_exp, {"std": 0.5}, weight=1.0),
         track_yaw_rate=RewardTermCfg(unitree_rl_lab.track_body_yaw_rate_exp, {"std": 0.5}, weight=0.5),

@@ -1,4 +1,4 @@
-"""Surfaces, profiles and training grids; a new file is registered by being here."""
+"""Surfaces, profiles and training grids; every file in this folder is imported."""
 
 from humoslope.plugins import import_all
 

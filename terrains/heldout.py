@@ -1,7 +1,7 @@
-"""The held-out track: what every policy is measured on, and none is trained on (paper, section 4).
+"""The held-out track for the evaluation of policies; none is trained on it (paper, section 4).
 
 The paper gives its length, the kinds of segments and the five surfaces. Their order, lengths and sizes are ours: 22 m
-of the track are slopes, each followed by level ground, and no surface but the smooth one comes twice on them.
+of the track are slopes, each followed by level ground, and no surface but the smooth one occurs twice on them.
 """
 
 from __future__ import annotations
@@ -28,21 +28,20 @@ SEGMENTS = (
     Segment("down smooth", 4.0, -1, "smooth"),
     Segment("end", 2.5, 0, "smooth"),
 )
-LENGTH = 35.0  # m, paper
 WIDTH = 6.0
-"""m; a blind robot drifts, and its command steers back only gently."""
+"""Extent across, m; a blind robot drifts, and its command steers back only gently."""
 CELL = 0.05
-"""m; the edge of a rib is one cell."""
+"""Distance between neighbouring heights, m; the edge of a rib is one cell."""
 BLEND = 0.2
 """Length over which a surface fades at the ends of its segment, m."""
 SEED = 20_260_917
-"""Of the bumps. Training seeds are small numbers that come with a column and a level."""
+"""Seed of the bumps. Training seeds are small numbers combined with a column and a level."""
 
 WAVE_AMPLITUDE, WAVELENGTH = 0.04, 1.2  # m; training draws wavelengths and phases at random
 BUMP, BUMP_SPACING = 0.03, 0.15  # m; training spaces them by 0.2
 RIB, RIB_PERIOD = 0.025, 0.45  # m; training has 0.4 and 0.5
 BANK = 8.0
-"""Sideways tilt, degrees; beyond some 12 no foot of the G1 lies flat. The left is higher first, then the right."""
+"""Sideways tilt, degrees; beyond about 12 no foot of the G1 lies flat. The left is higher first, then the right."""
 BANK_AT = (0.0, 0.5, 1.1, 1.9, 2.5, 3.0)
 BANK_SHARE = (0.0, 1.0, 1.0, -1.0, -1.0, 0.0)
 """Places in the banked segment, m, and shares of the tilt there; ground that twists faster is steep off its middle."""
@@ -50,9 +49,9 @@ BANK_SHARE = (0.0, 1.0, 1.0, -1.0, -1.0, 0.0)
 
 @course("held-out-track", SEGMENTS, grade=(0.0, 40.0), width=WIDTH, cell=CELL)
 def held_out_track(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-    """The 35 m track of slopes up and down with five surfaces that policies are measured on.
+    """Track of 35 m for evaluations: slopes up and down with five surfaces.
 
-    The surfaces are there at grade 0 too, and the same bumps at every grade: the track has a seed of its own.
+    The surfaces do not depend on the grade, and the track has its own seed, so that the bumps are always the same.
     """
     own = np.random.default_rng(SEED)
     slopes = profiles.track(x, [profiles.Segment(s.length, s.direction * grade) for s in SEGMENTS])
@@ -67,7 +66,7 @@ def held_out_track(x: Array, y: Array, grade: float, rng: np.random.Generator) -
 
 
 def _start(surface: str) -> float:
-    """Where the only segment of that surface begins, m."""
+    """Start of the only segment with that surface, m."""
     index = [segment.surface for segment in SEGMENTS].index(surface)
     return sum(segment.length for segment in SEGMENTS[:index])
 

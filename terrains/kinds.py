@@ -1,4 +1,4 @@
-"""The terrains that training draws its columns from."""
+"""Terrains for training."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ import numpy as np
 
 from humoslope.terrain import terrain
 from humoslope.terrain.registry import Array
-from terrains.profiles import APPROACH, RUN_OUT, Segment, flat, ramp, ramp_down, track
+from terrains.profiles import APPROACH, Segment, flat, ramp, ramp_down, room, track
 from terrains.surfaces import banked, rough, smooth, striped, wavy
 
 STEEPEST = 32.0
-"""Degrees; a little beyond the 30 degrees that policies are measured on."""
+"""Steepest ramp, degrees; a little beyond the 30 degrees of the evaluation."""
 STEEPEST_TRACK = 35.0
-"""Degrees; Stage II goes on where Stage I ends."""
+"""Steepest slope of the tracks of Stage II, degrees."""
 MAX_BANK = 8.0
-"""Degrees."""
+"""Largest sideways tilt, degrees."""
 BUMP = 0.03
-"""Largest height of bumps, m."""
+"""Largest height of bumps above and below the profile, m."""
 RIB = 0.03
 """Largest height of ribs, m."""
+LEAST_TRACK = 3.5
+"""Length of two slopes and the flat between them, m: the shorter slope has at least 30 % of it, see `compound`."""
 BUMP_SPACING = 0.2
 """Distance between bumps, m."""
 
@@ -33,43 +35,43 @@ def flat_ground(x: Array, y: Array, grade: float, rng: np.random.Generator) -> A
 
 @terrain("ramp-up", grade=(0.0, STEEPEST))
 def ramp_up(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-    """A planar ramp up."""
+    """Planar ramp up."""
     return ramp(x, grade)
 
 
 @terrain("ramp-down", grade=(0.0, STEEPEST))
 def ramp_downwards(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-    """A planar ramp down."""
+    """Planar ramp down."""
     return ramp_down(x, grade)
 
 
 @terrain("rough-ramp-up", grade=(0.0, STEEPEST))
 def rough_ramp_up(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-    """A ramp up strewn with bumps that grow with its grade."""
+    """Ramp up with bumps that grow with its grade."""
     return ramp(x, grade) + rough(x, y, rng, BUMP * grade / STEEPEST, BUMP_SPACING)
 
 
 @terrain("rough-ramp-down", grade=(0.0, STEEPEST))
 def rough_ramp_down(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-    """A ramp down strewn with bumps that grow with its grade."""
+    """Ramp down with bumps that grow with its grade."""
     return ramp_down(x, grade) + rough(x, y, rng, BUMP * grade / STEEPEST, BUMP_SPACING)
 
 
 @terrain("striped-ramp-up", grade=(0.0, STEEPEST))
 def striped_ramp_up(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-    """A ramp up with ribs across."""
+    """Ramp up with ribs across."""
     return ramp(x, grade) + striped(x, RIB * grade / STEEPEST, rng.choice((0.4, 0.5)))
 
 
 @terrain("striped-ramp-down", grade=(0.0, STEEPEST))
 def striped_ramp_down(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-    """A ramp down with ribs across."""
+    """Ramp down with ribs across."""
     return ramp_down(x, grade) + striped(x, RIB * grade / STEEPEST, rng.choice((0.4, 0.5)))
 
 
 @terrain("wave", grade=(0.0, 12.0))
 def wave(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-    """Waves 1 to 1.5 m long whose steepest place has the grade; at 12 degrees they are 3.4 to 5.1 cm high."""
+    """Waves of 1 to 1.5 m whose steepest place has the grade; at 12 degrees their amplitude is 3.4 to 5.1 cm."""
     wavelength = rng.uniform(1.0, 1.5)
     amplitude = np.tan(np.radians(grade)) * wavelength / (2.0 * np.pi)
     return flat(x) + wavy(x, amplitude, wavelength, rng.uniform(0.0, 2.0 * np.pi))
@@ -89,14 +91,14 @@ def banked_ground(x: Array, y: Array, grade: float, rng: np.random.Generator) ->
 
 @terrain("compound", grade=(0.0, STEEPEST_TRACK))
 def compound(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-    """Two ramps, up and down in random order, with a flat between; lengths, order and the surface of each are random.
+    """Two ramps, up and down in random order, with a flat between; lengths and the surface of each are random too.
 
-    The surfaces are there at grade 0 too.
+    The surfaces do not depend on the grade.
     """
-    room = float(x.max()) - APPROACH - RUN_OUT
-    plateau = round(room * rng.uniform(0.15, 0.25), 1)
-    first = round((room - plateau) * rng.uniform(0.4, 0.6), 1)
-    second = room - plateau - first
+    length = room(x, LEAST_TRACK)
+    plateau = round(length * rng.uniform(0.15, 0.25), 1)
+    first = round((length - plateau) * rng.uniform(0.4, 0.6), 1)
+    second = length - plateau - first
     sign = rng.choice((-1.0, 1.0))
     segments = [
         Segment(APPROACH, 0.0),
@@ -113,7 +115,7 @@ def compound(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Arra
 
 
 def _any_surface(x: Array, y: Array, rng: np.random.Generator, start: float, end: float) -> Array:
-    """One of the five surfaces between two places."""
+    """Random surface of the five, between two places along the tile."""
     choices: tuple[Callable[[], Array], ...] = (
         lambda: smooth(x),
         lambda: wavy(

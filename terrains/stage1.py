@@ -1,4 +1,4 @@
-"""The mixed slopes of Stage I."""
+"""Terrain of Stage I: mixed slopes."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from humoslope.terrain import TerrainGridCfg
 
 
 def stage1() -> TerrainGridCfg:
-    """A quarter each of ramps up and down; the rest is flat, wavy and rough ground and rough slopes.
+    """Ramps up and ramps down, a quarter each; the rest is flat, wavy and rough ground and rough slopes.
 
-    Banked and striped ground is left to Stage II: as a column is a twentieth, it would cost as much as a rough slope.
+    Banked and striped ground is left to Stage II, since a column, a twentieth, would cost as much as a rough slope.
     """
     return TerrainGridCfg(
         columns={

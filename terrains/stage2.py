@@ -1,4 +1,4 @@
-"""The slope tracks of Stage II."""
+"""Terrain of Stage II: slope tracks."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from humoslope.terrain import TerrainGridCfg
 
 
 def stage2() -> TerrainGridCfg:
-    """Mostly tracks of two ramps, up and down in either order, with all five surfaces; longer than those of Stage I, so
-    that a robot meets every transition within an episode. Layout and seed are not the held-out track's."""
+    """Mostly tracks of two ramps, up and down in either order, with all five surfaces.
+
+    Tiles are longer than those of Stage I, so that a robot meets every transition within an episode. Layout and seed
+    differ from those of the held-out track.
+    """
     return TerrainGridCfg(
         columns={
             "compound": 0.65,

@@ -1,7 +1,7 @@
-"""What lies on top of a profile; heights in metres, to be added to it.
+"""Surfaces on top of a profile; heights in metres, to be added to it.
 
-Every surface fades in from `start` on, and out before `end`. The default start leaves the ground as the profile has it
-where robots are placed.
+Every surface fades in from `start` on, and out before `end`. The default start keeps the profile unchanged where robots
+start.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import numpy as np
 from humoslope.terrain.registry import Array
 
 SPAWN = 1.2
-"""Length of the place where robots start, m."""
+"""Length of the ground where robots start, m."""
 BLEND = 0.3
 """Length over which a surface fades, m."""
 BANK_BLEND = 0.8
-"""The same for banked ground, m; longer, as ground that twists slopes steeply off its centre line."""
+"""Length over which banked ground fades, m; longer, as twisted ground is steep off its centre line."""
 
 
 def fade(x: Array, start: float = SPAWN, end: float = np.inf, blend: float = BLEND) -> Array:
@@ -24,7 +24,7 @@ def fade(x: Array, start: float = SPAWN, end: float = np.inf, blend: float = BLE
 
 
 def smooth(x: Array) -> Array:
-    """Nothing on top."""
+    """No change to the profile."""
     return np.zeros_like(x)
 
 

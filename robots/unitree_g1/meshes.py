@@ -1,29 +1,29 @@
-"""Where the published meshes of the Unitree G1 can be had, and which link wears which.
+"""Source of the published meshes of the Unitree G1, and their assignment to links.
 
-They are not in this repository. mjlab 1.6.0 carries the 35 files that the 29-joint model of revision 1.0 is drawn with
-(https://github.com/unitreerobotics/unitree_ros, g1_description); the assignment is that model's.
+They are not in this repository. mjlab 1.6.0 contains the 35 files of the 29-joint model of revision 1.0
+(https://github.com/unitreerobotics/unitree_ros, g1_description); the assignment is that of this model.
 """
 
 from __future__ import annotations
 
 from humoslope.scene.robot import MeshSource, MeshVisual
+from humoslope.scene.sensors import SIDES
 
 SILVER, BLACK = (179, 179, 179), (51, 51, 51)
-SIDES = ("left", "right")
 
 SILVER_PARTS = (
     *("hip_roll", "hip_yaw", "knee", "ankle_pitch"),
     *("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw"),
 )
 BLACK_PARTS = ("hip_pitch", "ankle_roll")
-# The torso's origin in that model's waist, from which logo and head are placed, m.
+# Origin of the torso in the waist of that model, the reference of logo and head, m.
 ON_TORSO = (0.0039635, 0.0, -0.044)
-# Where a hand is on its wrist, m.
+# Position of a hand on its wrist, m.
 HANDS = {"left": (0.0415, 0.003, 0.0), "right": (0.0415, -0.003, 0.0)}
 
 
 def _own(link: str, colour: tuple[int, int, int]) -> MeshVisual:
-    """The mesh that has its link's name."""
+    """Mesh with the name of its link."""
     return MeshVisual(link, f"{link}.STL", colour)
 
 

@@ -1,7 +1,7 @@
-"""Unitree G1: the constants of the robot, and its `MjSpec` from `g1.urdf`.
+"""Unitree G1: constants of the robot, and its `MjSpec` from `g1.urdf`.
 
-The URDF says what Unitree publishes (frames, masses, limits, shapes). This module adds what a URDF cannot say:
-reflected motor inertia, gains, contact rules, the default pose and the sensors.
+The URDF holds what Unitree publishes (frames, masses, limits, shapes). This module adds what a URDF cannot hold:
+reflected motor inertia, gains, contact rules and the default pose.
 """
 
 from __future__ import annotations
@@ -13,16 +13,20 @@ from pathlib import Path
 import mujoco
 
 from humoslope.scene.robot import Robot
-from humoslope.scene.sensors import add_robot_sensors
+from humoslope.scene.sensors import SIDES
 from robots.unitree_g1.meshes import G1_MESHES
 
 URDF = Path(__file__).with_name("g1.urdf")
-SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What moves a joint: armature in kg m^2 and largest torque in Nm, both at the joint, summed over its motors."""
+    """Drive of a joint.
+
+    Attributes:
+        armature: Reflected inertia at the joint, summed over its motors, kg m^2.
+        effort: Largest torque at the joint, summed over its motors, Nm.
+    """
 
     armature: float
     effort: float
@@ -107,7 +111,7 @@ VISUAL_GROUP = 2
 
 
 def make_spec() -> mujoco.MjSpec:
-    """Builds the robot on a free joint, with actuators, sensors and the `knees_bent` keyframe, and no ground."""
+    """Builds the robot on a free joint, with actuators and the `knees_bent` keyframe, without ground or sensors."""
     spec = mujoco.MjSpec.from_string(URDF.read_text(encoding="utf-8"))
     _set_options(spec)
     # Before compiling: a root without joint would become part of the world, and its mass would be lost.
@@ -119,7 +123,6 @@ def make_spec() -> mujoco.MjSpec:
             _set_geom(geom, body.name)
     for name, drive in DRIVES.items():
         _add_drive(spec, name, drive)
-    add_robot_sensors(spec, UNITREE_G1)
     qpos = [0.0, 0.0, UNITREE_G1.default_root_height, 1.0, 0.0, 0.0, 0.0, *UNITREE_G1.default_joint_pos]
     spec.add_key(name="knees_bent", qpos=qpos, ctrl=UNITREE_G1.default_joint_pos)
     return spec
@@ -137,10 +140,10 @@ def _set_options(spec: mujoco.MjSpec) -> None:
 
 
 def _set_geom(geom: mujoco.MjsGeom, body: str) -> None:
-    """Sorts shapes into drawn ones and touching ones, by name: only collision shapes are named in the URDF.
+    """Sets a shape up for drawing or for contact, by its name: only collision shapes have one in the URDF.
 
-    The ground (contype 1, conaffinity 1) meets every collision shape. Of the robot's own pairs only the left shin and
-    foot meet the right shin and foot: crossed legs are what goes wrong in walking, and every other pair costs time.
+    The ground (contype 1, conaffinity 1) touches every collision shape. Of the robot's own pairs only the left shin and
+    foot touch the right shin and foot: crossed legs are the usual fault of a gait, and every other pair costs time.
     """
     if not geom.name:
         geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, 0, 0
@@ -160,7 +163,7 @@ def _set_geom(geom: mujoco.MjsGeom, body: str) -> None:
 def _add_drive(spec: mujoco.MjSpec, name: str, drive: Drive) -> None:
     joint = spec.joint(name)
     joint.armature = drive.armature
-    joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the actuator's own limit says the same once
+    joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the actuator has the same limit
     spec.add_actuator(
         name=name,
         target=name,

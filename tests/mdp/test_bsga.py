@@ -10,8 +10,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
+from humoslope.managers import RewardTermCfg
+from humoslope.managers.terms import bind
 from humoslope.mdp import bsga
+from humoslope.mdp.bsga_memory import AirTime, SlopeGait, StanceWork, Swing
 from humoslope.mdp.declare import joint_image
+from humoslope.slope import bsga as functions
 from humoslope.slope.descriptor import terrain_descriptor
 from robots.unitree_g1 import UNITREE_G1
 
@@ -85,6 +89,7 @@ def env(make_env):
 def term_of(env, name, slope=None, **params):
     func, defaults, best = TERMS[name]
     env.height_scan = ground(best if slope is None else slope)
+    env.events = {"slope_gait": SlopeGait(env)}
     return func(env, **{**defaults, **params}), best if slope is None else slope
 
 
@@ -95,6 +100,11 @@ def values(env, term, slope, steps, start=0, **changes):
         env.signals = walking(k, slope, **changes)
         earned.append(term(env).item())
     return torch.tensor(earned)
+
+
+def again(make, *args, **changes):
+    """The same readings in 150 steps."""
+    return (make(*args, **changes) for _ in range(150))
 
 
 # What a good walker earns, and where
@@ -151,7 +161,7 @@ def test_who_stops_soon_earns_nothing_whatever_is_remembered(env, name):
     term, slope = term_of(env, name)
     values(env, term, slope, 103)
     # Stopped in the middle of a step, one foot in the air for good, the joints at rest.
-    stopped = torch.tensor([term(env).item() for env.signals in [walking(110, slope, speed=0.0, vel=0.0)] * 150])
+    stopped = torch.tensor([term(env).item() for env.signals in again(walking, 110, slope, speed=0.0, vel=0.0)])
     assert stopped[-1] < 0.005
 
 
@@ -230,15 +240,14 @@ def test_a_foot_held_up_and_a_foot_in_the_air_with_the_other_are_no_swing(env):
     term, slope = term_of(env, "swing")
     hopping = values(env, term, slope, 120, air=0)  # lets progress settle
     assert hopping.max() == 0.0
-    stork = torch.tensor([term(env).item() for env.signals in [walking(5, slope)] * 100])
+    stork = torch.tensor([term(env).item() for env.signals in again(walking, 5, slope)])
     assert stork[:5].max() == 0.0  # not before 0.1 s
     assert stork[5:29].min() > 0.9
     assert stork[31:].max() == 0.0  # and not after 0.6 s
     values(env, term, slope, 3)
-    flying = walking(5, slope)
-    flying.foot_force = torch.zeros(1, 2)
-    flight = torch.tensor([term(env).item() for env.signals in [flying] * 50])
-    assert flight.max() == 0.0
+    for env.signals in again(walking, 5, slope):
+        env.signals.foot_force = torch.zeros(1, 2)
+        assert term(env).item() == 0.0
 
 
 # Memory
@@ -284,6 +293,108 @@ def test_the_length_of_a_step_is_measured_as_the_foot_lands_and_holds_until_the_
     assert values(env, term, slope, 1, start=158, apart=0.0).item() == pytest.approx(1.0, abs=0.03)
 
 
+def test_a_step_in_the_air_at_the_end_of_an_episode_does_not_land_in_the_next(env, mask):
+    term, slope = term_of(env, "stride")
+    values(env, term, slope, 115)  # one foot has been in the air for 0.24 s
+    term.reset(mask(1, 0))
+    for _ in range(200):
+        env.signals = walking(0, slope)  # both feet down
+        assert term(env).item() == 0.0
+
+
+# The cue that all terms share
+
+
+class Reference:
+    """Every term with a progress average of its own, from the formulas of the paper and of `slope.bsga`."""
+
+    def __init__(self, env):
+        self.speed, self.gain = env.zeros(), 1.0 - math.exp(-env.step_dt / 0.5)
+        triple = (bsga.HIP_PITCH, bsga.KNEE, bsga.ANKLE_PITCH)
+        self.work = {sign: StanceWork(env, triple, sign, self.gain) for sign in ("positive", "negative")}
+        self.air, self.swing = AirTime(env, 5.0), Swing(env, 5.0, 0.1, 0.6)
+        self.length, self.age = env.zeros(), env.zeros() + math.inf
+        self.knee, self.hip = (
+            [NAMES.index(f"{side}_{j}_joint") for side in ("left", "right")] for j in ("knee", "hip_pitch")
+        )
+
+    def __call__(self, env):
+        s, asked, ground = env.signals, env.commands.velocity[:, 0], env.height_scan.descriptor
+        self.speed = torch.lerp(self.speed, s.root_lin_vel_t[:, 0], self.gain)
+        progress = (self.speed / asked.clamp(min=0.1)).clamp(0.0, 1.0) * (asked > 0.0)
+        rho = (ground.slope.abs() / math.radians(30.0)).clamp(max=1.0)
+        target = 0.69 * ground.slope.cos() + rho * (0.01 * ground.up + -0.03 * ground.down)
+        com = torch.exp(-((s.com_height * ground.slope.cos() - target) / 0.10).square())
+        hip = (self.work["positive"].share(env, 0) / (0.33 + 0.17 * rho)).clamp(max=1.0) * ground.up
+        flexion = (0.45 + 0.30 * rho).unsqueeze(-1)
+        posture = torch.exp(-((s.joint_pos[:, self.knee] - flexion) / 0.25).square())
+        stance = (posture * s.foot_force).sum(dim=-1) / s.foot_force.sum(dim=-1).clamp(min=1.0)
+        brake = stance * (self.work["negative"].share(env, 1) / 0.45).clamp(max=1.0) * ground.down
+        before = self.air.time
+        carries = self.air.step(env)
+        landed = (carries & (before >= 0.1) & (before.flip(1) == 0.0)).any(dim=1)
+        apart = s.along_ground(s.foot_pos_w[:, 0] - s.foot_pos_w[:, 1])[:, 0].abs()
+        self.length = torch.where(landed, apart, self.length)
+        self.age = (self.age + env.step_dt).masked_fill(landed, 0.0)
+        longest = (asked * 0.4 + 0.05) * (1.0 - 0.25 * rho)
+        short = torch.exp((longest - self.length).clamp(max=0.0) / 0.05) * ground.down * (self.age <= 1.0)
+        swings, q = self.swing.step(env), 0.45 + 1.0 * ground.slope.clamp(0.0, 30.0 * DEG)
+        swing = (torch.exp(-((-s.joint_pos[:, self.hip] - q.unsqueeze(-1)) / 0.3).square()) * swings).sum(dim=-1)
+        values = {"com": com, "hip": hip, "brake": brake, "stride": short, "swing": swing}
+        standing = torch.where(env.commands.moving, progress, 1.0)
+        return {name: value * (standing if name == "com" else progress) for name, value in values.items()}
+
+    def reset(self, mask):
+        for memory in (*self.work.values(), self.air, self.swing):
+            memory.reset(mask)
+        self.speed, self.age = self.speed.masked_fill(mask, 0.0), self.age.masked_fill(mask, math.inf)
+
+
+@pytest.mark.parametrize("slope", [-20.0, 0.0, 20.0])
+def test_terms_with_a_shared_cue_are_bit_for_bit_those_with_one_each(env, mask, slope):
+    env.height_scan, env.events = ground(slope), {"slope_gait": SlopeGait(env)}
+    terms = {name: func(env, **params) for name, (func, params, _) in TERMS.items()}
+    reference, earning = Reference(env), set()
+    generator = torch.Generator().manual_seed(1)
+    for k in range(160):
+        speed, drive = (0.6 * torch.rand(2, generator=generator)).tolist()
+        env.signals = walking(k, slope, speed=speed, drive=drive * (-1.0) ** (k // 7), apart=0.5 * speed)
+        expected = reference(env)
+        for name, term in terms.items():
+            assert term(env).equal(expected[name]), (k, name)
+            earning |= {name} if expected[name] > 0.0 else set()
+        if k == 90:
+            for memory in (*terms.values(), reference):
+                memory.reset(mask(1, 0))
+    assert earning == {"com", "swing"} | ({"hip"} if slope > 0.0 else {"brake", "stride"} if slope < 0.0 else set())
+
+
+def test_one_parameter_of_the_cue_changes_all_terms_that_depend_on_it(env):
+    def earned(**cue):
+        found = set()
+        for name, (func, params, slope) in TERMS.items():
+            env.height_scan, env.events = ground(slope), {"slope_gait": SlopeGait(env, **cue)}
+            found.add((name, tuple(values(env, func(env, **params), slope, 50, apart=0.25).tolist())))
+        return found
+
+    usual = earned()
+    assert {name for name, _ in usual - earned(memory_s=1.0)} == set(TERMS)
+    assert {name for name, _ in usual - earned(full_slope=1.5)} == {"com", "hip", "brake", "stride"}
+
+
+def test_the_cue_is_computed_once_a_step_for_all_terms(env, monkeypatch):
+    env.height_scan, env.events = ground(20.0), {"slope_gait": SlopeGait(env)}
+    terms = [func(env, **params) for func, params, _ in TERMS.values()]
+    calls = []
+    progress = functions.progress
+    monkeypatch.setattr(functions, "progress", lambda *args: calls.append(args) or progress(*args))
+    for k in range(10):
+        env.signals = walking(k, 20.0)
+        for term in terms:
+            term(env)
+    assert len(calls) == 10
+
+
 # The real robot on ramps
 
 
@@ -302,13 +413,14 @@ def robot(pose):
     return make
 
 
-AT_ONCE = {"memory_s": 1e-3}
-"""Averages that are as good as their last sample."""
+def at_once(env):
+    """A cue whose averages are as good as their last sample."""
+    return {"slope_gait": SlopeGait(env, memory_s=1e-3)}
 
 
 def score_of(env, func, posed, **params):
-    env.height_scan, env.signals = posed.height_scan, posed.signals
-    return func(env, **AT_ONCE, **params)(env).item()
+    env.height_scan, env.signals, env.events = posed.height_scan, posed.signals, at_once(env)
+    return func(env, **params)(env).item()
 
 
 @pytest.mark.parametrize("slope", [-25.0, 0.0, 25.0])
@@ -384,7 +496,8 @@ def test_stepping_further_than_the_speed_needs_costs_downhill_however_the_robot_
     ahead = turn.apply([math.cos(slope * DEG), 0.0, math.sin(slope * DEG)])
 
     def score(length):
-        term = bsga.Stride(env, **AT_ONCE)
+        env.events = at_once(env)
+        term = bsga.Stride(env)
         posed = pose(slope, uphill=heading, root_quat_w=turn.as_quat(scalar_first=True), root_lin_vel_w=0.5 * ahead)
         left, right = length * ahead + turn.apply([0.0, 0.1, 0.0]), turn.apply([0.0, -0.1, 0.0])
         posed.put(foot_pos_w={"left": left, "right": right})
@@ -439,6 +552,8 @@ def test_every_term_is_the_same_in_the_mirror(make_env, pose, name):
         for posed in (here, there)
     ]
     func, params, _ = TERMS[name]
+    for world in worlds:
+        world.events = {"slope_gait": SlopeGait(world)}
     terms = [func(world, **params) for world in worlds]
     earned = []
     for step in range(35):
@@ -461,14 +576,15 @@ def test_every_term_is_the_same_in_the_mirror(make_env, pose, name):
 @pytest.mark.parametrize(
     ("term", "params", "message"),
     [
-        (bsga.ComHeight, {"nominal": 0.0}, r"com height: nominal is 0; it must be positive"),
-        (bsga.Stride, {"std": -0.1}, r"stride: std is -0\.1; it must be positive"),
-        (bsga.HipPropulsion, {"memory_s": 0.0}, r"memory_s is 0; it must be positive"),
+        (bsga.ComHeight, {"nominal": 0.0}, r"reward 'it': nominal is 0; it must be positive"),
+        (bsga.Stride, {"std": -0.1}, r"reward 'it': std is -0\.1; it must be positive"),
+        (bsga.HipPropulsion, {"cue": "gait"}, r"reward 'it': event 'gait' is not a SlopeGait"),
         (bsga.SwingHip, {**SWING, "hip": "left_hip.*"}, r"one left and one right joint .* it matches left_hip_pitch_j"),
         (bsga.KneeBraking, {"knee": ".*_kne_joint"}, r"'\.\*_kne_joint' must match .* it matches nothing"),
         (bsga.KneeBraking, {"ankle": ".*ankle.*"}, r"it matches left_ankle_pitch_joint, left_ankle_roll_joint, right"),
     ],
 )  # fmt: skip
 def test_parameters_and_patterns_that_make_no_sense_are_refused(env, term, params, message):
+    env.events = {"slope_gait": SlopeGait(env), "gait": None}
     with pytest.raises(UserError, match=message):
-        term(env, **params)
+        bind("reward", "it", RewardTermCfg(term, params), env)

@@ -53,18 +53,18 @@ def body_id(model, name):
 # Friction
 
 
-@given(grade=st.floats(0.0, 40.0), low=st.floats(0.1, 1.0), width=st.floats(0.0, 1.0))
-def test_every_slope_can_be_climbed_with_the_friction_that_is_drawn(worlds, grade, low, width):
-    env = worlds(50, tiles=SimpleNamespace(grade=torch.full((50,), math.radians(grade))))
+@given(steepest=st.floats(0.0, 50.0), low=st.floats(0.1, 1.0), width=st.floats(0.0, 1.0))
+def test_every_tile_can_be_walked_with_the_friction_that_is_drawn(worlds, steepest, low, width):
+    env = worlds(50, tiles=SimpleNamespace(steepest=torch.full((50,), math.radians(steepest))))
     events.randomize_friction(env, torch.ones(50, dtype=torch.bool), (low, low + width), slope_margin=0.15)
     mu = env.sim.expand("geom_friction")[:, env.sim.model.geom(FEET[0]).id, 0]
-    least = math.tan(math.radians(grade)) + 0.15
+    least = math.tan(math.radians(steepest)) + 0.15
     assert mu.min() >= max(low, least) - 1e-5
     assert mu.max() <= max(low + width, least) + 1e-5
 
 
 def test_all_of_a_worlds_foot_geoms_share_one_friction_and_nothing_else_is_touched(worlds, mask):
-    env = worlds(8, tiles=SimpleNamespace(grade=torch.zeros(8)))
+    env = worlds(8, tiles=SimpleNamespace(steepest=torch.zeros(8)))
     before = env.sim.expand("geom_friction").clone()
     events.randomize_friction(env, mask(8, 2, 5), (0.3, 0.4), slope_margin=0.15)
     friction = env.sim.expand("geom_friction")
@@ -76,13 +76,6 @@ def test_all_of_a_worlds_foot_geoms_share_one_friction_and_nothing_else_is_touch
     assert friction[[0, 1, 3, 4, 6, 7]].equal(before[[0, 1, 3, 4, 6, 7]])
     assert friction[:, others].equal(before[:, others])
     assert friction[:, :, 1:].equal(before[:, :, 1:])
-
-
-@pytest.mark.parametrize("bounds", [(0.5, 0.3), (-0.1, 0.3)])
-def test_a_range_of_friction_that_is_none_is_refused(worlds, bounds):
-    env = worlds(2, tiles=SimpleNamespace(grade=torch.zeros(2)))
-    with pytest.raises(UserError, match=r"friction .* must be \(lowest, highest\) and at least 0"):
-        events.randomize_friction(env, torch.ones(2, dtype=torch.bool), bounds, slope_margin=0.15)
 
 
 # Mass, gains
@@ -112,7 +105,7 @@ def test_more_mass_cannot_be_taken_away_than_there_is(worlds):
     ("event", "params"), [(events.randomize_mass, {"added": (0.0, 1.0)}), (events.randomize_com, {"offset": 0.01})]
 )
 def test_a_body_that_does_not_exist_is_named(worlds, event, params):
-    with pytest.raises(UserError, match="body 'trunk' does not exist in unitree_g1"):
+    with pytest.raises(UserError, match="body 'trunk' does not exist"):
         event(worlds(2), torch.ones(2, dtype=torch.bool), body="trunk", **params)
 
 

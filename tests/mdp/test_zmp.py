@@ -9,6 +9,8 @@ import pytest
 import torch
 
 from humoslope.errors import UserError
+from humoslope.managers import RewardTermCfg
+from humoslope.managers.terms import bind
 from humoslope.mdp.zmp import ZmpRegulariser
 
 MASS = 33.0
@@ -133,7 +135,9 @@ def test_whatever_the_signals_the_score_is_between_zero_and_one(env):
 
 
 def test_a_plane_that_does_not_exist_and_a_sigma_of_zero_are_refused(env):
-    with pytest.raises(UserError, match="plane 'sloped' must be 'support' or 'horizontal'"):
-        ZmpRegulariser(env, plane="sloped")
-    with pytest.raises(UserError, match=r"sigma 0\.0 must be positive"):
-        ZmpRegulariser(env, sigma=0.0)
+    for params, message in (
+        ({"plane": "sloped"}, "reward 'zmp': plane is 'sloped'; it must be 'support' or 'horizontal'"),
+        ({"sigma": 0.0}, "reward 'zmp': sigma is 0; it must be positive"),
+    ):
+        with pytest.raises(UserError, match=message):
+            bind("reward", "zmp", RewardTermCfg(ZmpRegulariser, params), env)

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from humoslope.scene.sensors import TERRAIN_GEOM, add_contact_sensors
+from humoslope.scene.sensors import add_contact_sensors, add_robot_sensors
+from humoslope.terrain.mjcf import TERRAIN_GEOM
 from robots.unitree_g1 import UNITREE_G1
 
 ROWS, COLS, CELL = 81, 161, 0.1  # y, x; m
@@ -51,6 +52,7 @@ def rig() -> mujoco.MjModel:
 @pytest.fixture(scope="session")
 def g1_on_plane() -> mujoco.MjModel:
     spec = UNITREE_G1.make_spec()
+    add_robot_sensors(spec, UNITREE_G1)
     spec.worldbody.add_geom(name=TERRAIN_GEOM, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
     add_contact_sensors(spec, UNITREE_G1)
     return spec.compile()
@@ -72,6 +74,7 @@ def ground_height_fixture() -> Callable[..., np.ndarray]:
 @pytest.fixture(scope="session")
 def g1_on_height_field() -> mujoco.MjModel:
     spec = UNITREE_G1.make_spec()
+    add_robot_sensors(spec, UNITREE_G1)
     x = (np.arange(COLS) - COLS // 2) * CELL
     y = (np.arange(ROWS) - ROWS // 2) * CELL
     height = ground_height(x[None, :], y[:, None])

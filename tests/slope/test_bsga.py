@@ -51,12 +51,6 @@ def test_the_weighted_terms_sum_to_the_papers_core_reward(w_com, w_bio, w_swing,
     assert sum(w * x for w, x in zip(resolved, r, strict=True)) == pytest.approx(core, abs=1e-8)
 
 
-def test_by_default_the_biomechanical_branch_weighs_an_eighth_uphill_and_downhill_alike():
-    w = bsga.branch_weights()
-    assert w == pytest.approx((1.0, 0.125, 0.0875, 0.0375, 0.25))
-    assert w.brake + w.stride == pytest.approx(w.hip)
-
-
 def test_ascent_and_descent_without_any_weight_are_refused():
     with pytest.raises(UserError, match="w_up 0 and w_down 0 must have a positive sum"):
         bsga.branch_weights(w_up=0.0, w_down=0.0)
@@ -153,12 +147,10 @@ def brake(knee, load, share, rho, gates):
         scalar(knee),
         scalar(load),
         scalar(share),
-        scalar(rho),
         down,
-        bsga.KNEE_FLEXION,
-        bsga.KNEE_FLEXION_RISE,
-        bsga.KNEE_STD,
-        bsga.BRAKE_SHARE,
+        target=bsga.KNEE_FLEXION + bsga.KNEE_FLEXION_RISE * scalar(rho),
+        std=bsga.KNEE_STD,
+        full_share=bsga.BRAKE_SHARE,
     ).item()
 
 
@@ -186,16 +178,8 @@ def test_in_flight_no_knee_brakes():
 
 def stride(length, asked, rho, gates):
     _, down = gates
-    return bsga.stride_reward(
-        scalar(length),
-        scalar(asked),
-        scalar(rho),
-        down,
-        bsga.STEP_TIME,
-        bsga.STEP_MARGIN,
-        bsga.STEP_SHORTENING,
-        bsga.STRIDE_STD,
-    ).item()
+    longest = bsga.longest_step(scalar(asked), scalar(rho), bsga.STEP_TIME, bsga.STEP_MARGIN, bsga.STEP_SHORTENING)
+    return bsga.stride_reward(scalar(length), longest, down, bsga.STRIDE_STD).item()
 
 
 @given(length=st.floats(0.0, 0.8), asked=st.floats(0.0, 1.0), rho=shares)

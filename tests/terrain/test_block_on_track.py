@@ -11,6 +11,7 @@ import torch
 
 from humoslope.evaluation.track.protocol import HeldOutProtocol
 from humoslope.terrain import TerrainQueries, add_terrain, course
+from tests.terrain.ground import normal as normal_at
 
 PROTOCOL = HeldOutProtocol()
 GRADES, TIERS = PROTOCOL.grades, PROTOCOL.tiers
@@ -61,7 +62,8 @@ class Blocks:
 
     def normal(self, grade: float, place: float) -> np.ndarray:
         origin = self.ground.tile_origin[0, GRADES.index(grade)]
-        return self.queries.normal(torch.tensor([origin[0] + place, origin[1]], dtype=torch.float32)).double().numpy()
+        xy = torch.tensor([origin[0] + place, origin[1]], dtype=torch.float32)
+        return normal_at(self.queries, xy, 0.02).double().numpy()
 
     def slide(self) -> tuple[np.ndarray, np.ndarray]:
         """How far each block has moved after `SECONDS`, m, and its mean acceleration, m/s^2."""

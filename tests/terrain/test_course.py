@@ -53,10 +53,10 @@ def test_a_course_is_found_by_name_and_a_misspelt_one_gets_its_nearest_match() -
 
 def test_a_course_is_a_terrain_but_none_that_training_may_use() -> None:
     assert "held-out-track" in registry.names()
-    assert "held-out-track" not in registry.training_names()
+    assert not registry.find("held-out-track").training
     assert course.is_course("held-out-track")
     assert not course.is_course("ramp-up")
-    with pytest.raises(UserError, match="'held-out-track' is what policies are measured on"):
+    with pytest.raises(UserError, match="'held-out-track' is for evaluation only"):
         TerrainGridCfg(columns={"ramp-up": 1.0, "held-out-track": 0.0}).build()
 
 

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from humoslope.registry import all_tasks, build_task
 from humoslope.terrain import TerrainGridCfg, course, registry
 from humoslope.terrain.grid import tile_points
-from terrains.heldout import BANK, BUMP, CELL, LENGTH, SEED, SEGMENTS, WIDTH
+from terrains.heldout import BANK, BUMP, CELL, SEED, SEGMENTS, WIDTH
+from tests.terrain.ground import TRAINING
 
-X, Y = tile_points(LENGTH, WIDTH, CELL)
+X, Y = tile_points(35.0, WIDTH, CELL)
 MIDDLE = Y.shape[1] // 2
 GRADES = st.floats(0.0, 40.0)
 ENDS = np.cumsum([s.length for s in SEGMENTS]).tolist()
@@ -29,7 +30,7 @@ def inside(start: float, end: float, margin: float = 0.0) -> np.ndarray:
 
 
 def test_the_segments_sum_to_35_metres_with_every_surface_on_a_slope() -> None:
-    assert sum(segment.length for segment in SEGMENTS) == LENGTH == course.find("held-out-track").length == 35.0
+    assert sum(segment.length for segment in SEGMENTS) == course.find("held-out-track").length == 35.0
     assert {s.surface for s in SEGMENTS if s.direction} == {"smooth", "wavy", "banked", "rough", "striped"}
     rise = sum(s.direction * s.length for s in SEGMENTS)
     assert rise == 0.0
@@ -92,7 +93,7 @@ def test_the_banked_slope_tilts_to_one_side_and_then_to_the_other() -> None:
 # What training has seen
 
 
-@pytest.mark.parametrize("name", registry.training_names())
+@pytest.mark.parametrize("name", TRAINING)
 def test_no_training_terrain_is_the_track_at_any_grade_or_seed(name: str) -> None:
     kind = registry.find(name)
     tracks = [heights(grade) for grade in (0.0, 10.0, 20.0, 30.0)]
@@ -113,4 +114,4 @@ def test_no_seed_of_training_draws_the_bumps_of_the_track(seed: int, column: int
 def test_no_task_trains_on_the_track(name: str) -> None:
     terrain = build_task(name).env.scene.terrain
     assert isinstance(terrain, TerrainGridCfg)
-    assert set(terrain.columns) <= set(registry.training_names())
+    assert set(terrain.columns) <= set(TRAINING)

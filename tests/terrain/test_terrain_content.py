@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from humoslope.terrain import registry
 from humoslope.terrain.grid import tile_points
 from terrains.profiles import Segment, ramp, ramp_down, track
 from terrains.surfaces import SPAWN, banked, rough, smooth, striped, wavy
+from tests.terrain.ground import TRAINING
 
 X, Y = tile_points(10.0, 5.0, 0.1)
 
@@ -33,20 +34,28 @@ def test_a_surface_leaves_the_place_where_robots_start_alone(name: str) -> None:
     np.testing.assert_array_equal(SURFACES[name]()[X <= SPAWN], 0.0)
 
 
-@settings(deadline=None)
-@given(grade=st.floats(-40, 40), start=st.floats(0, 5), length=st.floats(0, 5))
-def test_a_ramp_rises_by_its_length_times_the_tangent_of_its_grade(grade: float, start: float, length: float) -> None:
-    heights = ramp(X, grade, start, length)
-    assert heights[0, 0] == 0.0
-    assert heights[-1, 0] == pytest.approx(length * np.tan(np.radians(grade)))
-    np.testing.assert_allclose(heights, -ramp_down(X, grade, start, length))
+@given(grade=st.floats(-40, 40), length=st.floats(4.0, 20.0))
+def test_a_ramp_rises_between_approach_and_run_out_by_the_tangent_of_its_grade(grade: float, length: float) -> None:
+    x = np.linspace(0.0, length, 301)[:, None]
+    heights = ramp(x, grade)
+    rise = (length - 3.0) * np.tan(np.radians(grade))
+    np.testing.assert_array_equal(heights[x <= 1.5], 0.0)
+    np.testing.assert_allclose(heights[x >= length - 1.5], rise, atol=1e-9)
+    np.testing.assert_allclose(heights, np.interp(x, [1.5, length - 1.5], [0.0, rise]), atol=1e-9)
+    np.testing.assert_allclose(heights, -ramp_down(x, grade))
 
 
-@settings(deadline=None)
-@given(grade=st.floats(-40, 40), start=st.floats(0, 4), length=st.floats(0.1, 4))
-def test_a_ramp_is_a_track_of_a_flat_a_slope_and_a_flat(grade: float, start: float, length: float) -> None:
-    segments = [Segment(start, 0.0), Segment(length, grade)]
-    np.testing.assert_allclose(track(X, segments), ramp(X, grade, start, length), atol=1e-9)
+@given(grade=st.floats(-40, 40), length=st.floats(4.0, 20.0))
+def test_a_ramp_is_a_track_of_a_flat_a_slope_and_a_flat(grade: float, length: float) -> None:
+    x = np.linspace(0.0, length, 301)[:, None]
+    segments = [Segment(1.5, 0.0), Segment(length - 3.0, grade)]
+    np.testing.assert_allclose(track(x, segments), ramp(x, grade), atol=1e-9)
+
+
+def test_ramps_up_and_down_are_equally_steep_and_steeper_than_the_evaluation() -> None:
+    for name in ("ramp-up", "ramp-down", "rough-ramp-up", "rough-ramp-down", "striped-ramp-up", "striped-ramp-down"):
+        assert registry.find(name).grade == (0.0, 32.0)
+    assert registry.find("compound").grade == (0.0, 35.0)
 
 
 def test_banked_ground_tilts_by_its_angle() -> None:
@@ -71,7 +80,7 @@ def test_ribs_are_as_high_as_asked_with_level_ground_between(period: float) -> N
     assert (ribs > 0.015).sum() == pytest.approx(8.0 / period, abs=1.0)
 
 
-@pytest.mark.parametrize("name", registry.training_names())
+@pytest.mark.parametrize("name", TRAINING)
 def test_no_kind_asks_a_robot_to_climb_a_step_inside_its_tile(name: str) -> None:
     kind = registry.find(name)
     for seed in range(10):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import terrains  # noqa: F401  registers the kinds
 from humoslope.cli.terrain import terrain
@@ -34,9 +35,17 @@ def test_a_terrain_nobody_registered_is_not_drawn(tmp_path: Path) -> None:
         draw.run("bankd", tmp_path / "a.png")
 
 
-def test_a_difficulty_beyond_one_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="between 0 and 1"):
-        draw.run("flat", tmp_path / "a.png", difficulties=(0.0, 2.0))
+def test_a_picture_that_fails_half_way_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.png").write_bytes(b"old")
+
+    def half(self: object, out: Path, **options: object) -> None:
+        out.write_bytes(b"half")
+        raise RuntimeError
+
+    monkeypatch.setattr(Figure, "savefig", half)
+    with pytest.raises(RuntimeError):
+        draw.run("flat", tmp_path / "a.png")
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("a.png", b"old")]
 
 
 def test_a_picture_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import terrains  # noqa: F401  registers the kinds
 from humoslope.errors import UserError
 from humoslope.terrain import Terrain, TerrainGridCfg, Tile, TileRowCfg, registry, terrain
 from terrains.stage1 import stage1
+from tests.terrain.ground import TRAINING
 
 
 @pytest.fixture(autouse=True)
@@ -33,7 +33,7 @@ def tile(built: Terrain, level: int, column: int) -> Any:
 
 
 def test_every_tile_starts_level_at_its_origin_and_robots_start_on_level_ground() -> None:
-    built = TerrainGridCfg(columns=dict.fromkeys(registry.training_names(), 1.0), levels=5).build()
+    built = TerrainGridCfg(columns=dict.fromkeys(TRAINING, 1.0), levels=5).build()
     for level in range(5):
         for column in range(20):
             heights = tile(built, level, column)
@@ -69,13 +69,13 @@ def test_a_ramp_of_30_degrees_is_30_degrees_everywhere_but_at_its_ends(name: str
 
 @settings(deadline=None)
 @given(
-    shares=st.dictionaries(st.sampled_from(registry.training_names()), st.floats(0.01, 100), min_size=1),
+    shares=st.dictionaries(st.sampled_from(TRAINING), st.floats(0.01, 100), min_size=1),
     more=st.integers(0, 9),
 )
 def test_every_named_kind_gets_a_column_and_shares_are_kept_within_one(shares: dict[str, float], more: int) -> None:
     columns = len(shares) + more
     built = TerrainGridCfg(
-        columns=shares, levels=1, num_columns=columns, tile_length=4.0, tile_width=0.4, cell=0.2, border=0.0
+        columns=shares, levels=1, num_columns=columns, tile_length=7.0, tile_width=0.4, cell=0.2, border=0.0
     ).build()
     assert len(built.kind) == columns
     assert set(built.kind) == set(shares)
@@ -118,7 +118,7 @@ def test_stage_one_is_half_planar_ramps_with_flat_wavy_and_rough_ground() -> Non
         ({"cell": float("nan")}, "cell is nan"),
         ({"cell": 6.0}, "cell is 6.0 m, larger than tile_width"),
         ({"cell": 0.3}, "whole number of cells"),
-        ({"tile_length": 0.5}, "robots start at 0.75"),
+        ({"tile_length": 0.5}, "robots start at 0.75 m, so it must be longer"),
         ({"tile_width": -1.0}, "tile_width is -1.0"),
         ({"border": -1.0}, "border is -1.0"),
         ({"seed": -1}, "seed is -1"),

@@ -219,7 +219,7 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str]
         ),
         events=Terms(
             friction=EventTermCfg(events.randomize_friction, friction, mode="startup"),
-            root=EventTermCfg(events.reset_on_tile, start),
+            root=EventTermCfg(events.ResetOnTile, start),
             joints=EventTermCfg(events.reset_joints, START_JOINTS),
         ),
         curriculum=Terms(),

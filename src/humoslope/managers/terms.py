@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import inspect
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from torch import Tensor
 
+from humoslope import ranges
 from humoslope.errors import UserError, unknown
 from humoslope.strict import StrictCfg
 
@@ -90,18 +90,21 @@ def bind(kind: str, name: str, term: TermCfg, env: Env, implicit: tuple[str, ...
         implicit: Names of the arguments that the manager passes at each call.
 
     Raises:
-        UserError: If the parameters do not fit the signature or are not finite, or a class is not a `StatefulTerm`.
+        UserError: If the parameters do not fit the signature or the ranges declared there (see `ranges`), or a class is
+            not a `StatefulTerm`.
     """
     where = f"{kind} '{name}'"
-    _check_finite(where, term.params)
     if not inspect.isclass(term.func):
-        _check_params(where, term.func, term.params, implicit)
+        _check_params(where, term, env, implicit)
         return partial(term.func, **term.params)
     if not issubclass(term.func, StatefulTerm) or inspect.isabstract(term.func):
         raise UserError(f"{where}: class {term.func.__name__} must derive from StatefulTerm and define reset(mask).")
-    _check_params(where, term.func, term.params, ("env",))
+    _check_params(where, term, env, ("env",))
     make: Callable[..., Any] = term.func
-    instance: Callable[..., Any] = make(env, **term.params)
+    try:
+        instance: Callable[..., Any] = make(env, **term.params)
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from None
     return instance
 
 
@@ -118,7 +121,8 @@ def first_value(kind: str, name: str, call: Callable[..., Any], env: Env) -> Ten
     return value
 
 
-def _check_params(where: str, func: Callable[..., Any], params: Mapping[str, Any], implicit: tuple[str, ...]) -> None:
+def _check_params(where: str, term: TermCfg, env: Env, implicit: tuple[str, ...]) -> None:
+    func, params = term.func, term.params
     signature = inspect.signature(func).parameters
     accepted = {name for name in signature if name not in implicit}
     for name in params:
@@ -127,24 +131,8 @@ def _check_params(where: str, func: Callable[..., Any], params: Mapping[str, Any
     missing = [n for n in accepted if signature[n].default is inspect.Parameter.empty and n not in params]
     if missing:
         raise UserError(f"{where}: parameter '{missing[0]}' of {getattr(func, '__name__', func)} has no value.")
-
-
-def _check_finite(where: str, params: Mapping[str, Any]) -> None:
-    for name, value in params.items():
-        for number in _numbers(value):
-            if not math.isfinite(number):
-                raise UserError(f"{where}: parameter '{name}' is {value}; it must be finite.")
-
-
-def _numbers(value: Any) -> Iterator[float]:
-    """All floating-point numbers in a parameter, however nested."""
-    if isinstance(value, float):
-        yield value
-    elif isinstance(value, Mapping):
-        yield from _numbers(list(value.values()))
-    elif isinstance(value, list | tuple):
-        for item in value:
-            yield from _numbers(item)
+    ranges.check_fields(where, term)
+    ranges.check_params(where, func, params, env)
 
 
 class StatefulTerms:

@@ -1,4 +1,4 @@
-"""What the gait rewards remember of the last steps: progress, work of the stance legs, time in the air, swing."""
+"""Memory of the gait rewards: progress, work of the stance legs, time in the air, swing."""
 
 from __future__ import annotations
 
@@ -8,63 +8,117 @@ from typing import TYPE_CHECKING, Literal
 import torch
 from torch import Tensor
 
-from humoslope.errors import require_positive
+from humoslope.errors import UserError
+from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp.selection import joint_pair
+from humoslope.ranges import Positive
 from humoslope.slope import bsga
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 MEMORY = 0.5
-"""Time constant of moving averages, s: a little more than a step, so that neither legs nor swaying show."""
+"""Time constant of moving averages, s: a little more than a step, so that they do not follow single steps. Ours."""
 
 SWING_FORCE = 5.0
-"""A foot that presses less on the ground swings, N; the paper filters by contact force and gives no number. Ours."""
+"""Contact force below which a foot swings, N; the paper filters by contact force and gives no number. Ours."""
 
 SWING_SETTLE = 0.1
-"""A swing counts from this time after lift-off, s; longer than any chatter of contacts. Ours."""
+"""Time after lift-off from which a swing counts, s; longer than any chatter of contacts. Ours."""
 
 SWING_LONGEST = 0.6
-"""A swing counts no more from this time after lift-off, s; one and a half steps. Ours."""
+"""Time after lift-off up to which a swing counts, s; one and a half steps. Ours."""
 
 
-class Progress:
-    """The gate of every BSGA term: the share of the commanded forward speed that is walked, in [0, 1].
+class SlopeGait(StatefulTerm):
+    """Cue that all BSGA rewards share: slope intensity and progress.
 
-    The speed along the ground is averaged over `memory_s`: who sways on the spot walks nowhere. Worlds that are asked
-    to stand, to step aside or to go backwards make no progress.
+    It is a reset event, so that its parameters are set in one place, `events.slope_gait`. The rewards find it by its
+    name, and it is computed once a step, when the first of them asks.
+
+    Args:
+        full_slope: Slope of full intensity, rad.
+        memory_s: Time constant of the moving averages of speed and work, s.
+
+    Attributes:
+        gain: Weight of a new sample in these averages.
     """
 
-    def __init__(self, env: Env, memory_s: float) -> None:
-        self._gain = _gain(env, memory_s)
+    def __init__(self, env: Env, full_slope: Positive = bsga.FULL_SLOPE, memory_s: Positive = MEMORY) -> None:
+        self._full_slope = full_slope
+        self.gain = 1.0 - math.exp(-env.step_dt / memory_s)
         self._speed = env.zeros()  # [N] m/s
+        self._seen: Tensor | None = None  # velocity of the step that the cue was computed for, new in every step
+        self._cleared: Tensor | None = None  # mask of the last reset, None once the cue was computed anew
 
-    def __call__(self, env: Env) -> Tensor:
-        """The gate [N]; to be called once per step."""
-        self._speed = torch.lerp(self._speed, env.signals.root_lin_vel_t[:, 0], self._gain)
-        return bsga.progress(self._speed, env.commands.velocity[:, 0], bsga.LEAST_SPEED)
+    def __call__(self, env: Env, mask: Tensor) -> None:
+        self.reset(mask)
+
+    def progress(self, env: Env) -> Tensor:
+        """Gate of every BSGA term: share of the commanded forward speed that is walked, [N] in [0, 1].
+
+        The speed along the ground is averaged, so that swaying on the spot is no progress. It is 0 in envs that are
+        commanded to stand, to step aside or to walk backwards.
+        """
+        self._compute(env)
+        return self._progress
+
+    def rho(self, env: Env) -> Tensor:
+        """Slope intensity rho_slope, [N] in [0, 1]."""
+        self._compute(env)
+        return self._rho
+
+    def _compute(self, env: Env) -> None:
+        velocity = env.signals.root_lin_vel_t
+        if self._seen is velocity:
+            return
+        self._seen, self._cleared = velocity, None
+        self._speed = torch.lerp(self._speed, velocity[:, 0], self.gain)
+        self._progress = bsga.progress(self._speed, env.commands.velocity[:, 0], bsga.LEAST_SPEED)
+        self._rho = bsga.slope_intensity(env.height_scan.descriptor.slope, self._full_slope)
 
     def reset(self, mask: Tensor) -> None:
-        """An episode starts without progress."""
-        self._speed = self._speed.masked_fill(mask, 0.0)
+        """Clears the average of the envs in `mask`. Every reward that uses the cue resets it, with the same mask."""
+        if mask is not self._cleared:
+            self._speed = self._speed.masked_fill(mask, 0.0)
+            self._seen, self._cleared = None, mask
+
+
+def slope_gait(env: Env, name: str) -> SlopeGait:
+    """Returns the cue that is configured as the event called `name`.
+
+    Raises:
+        UserError: If there is no such event, or it is no `SlopeGait`.
+    """
+    cue = env.events[name]
+    if not isinstance(cue, SlopeGait):
+        raise UserError(f"event '{name}' is not a SlopeGait, which BSGA rewards need.")
+    return cue
 
 
 class StanceWork:
     """Moving average of the power of hip, knee and ankle pitch in the legs that touch the ground, of one sign.
 
-    A leg in the air neither propels nor brakes; counting it would pay for waving it.
+    A leg in the air neither propels nor brakes; counting it would reward waving it.
     """
 
-    def __init__(self, env: Env, joints: tuple[str, str, str], done: Literal["positive", "negative"], memory_s: float):
+    def __init__(self, env: Env, joints: tuple[str, str, str], done: Literal["positive", "negative"], gain: float):
+        """Starts without work.
+
+        Args:
+            joints: Patterns of hip, knee and ankle pitch.
+            done: Sign of the power that counts.
+            gain: Weight of a new sample.
+        """
         pairs = [joint_pair(env.robot, pattern) for pattern in joints]
         self._index = torch.tensor(pairs, device=env.device).flatten()  # [6]
         self._sign = 1.0 if done == "positive" else -1.0
-        self._gain = _gain(env, memory_s)
+        self._gain = gain
         self._least = bsga.LEAST_POWER * env.robot.total_mass  # W
         self._power = env.zeros(3)  # [N, 3] W
 
     def share(self, env: Env, joint: int) -> Tensor:
-        """Share [N] of the joint with this place among the three; to be called once per step."""
+        """Share [N] of one of the three joints, by its place; to be called once per step."""
         signals = env.signals
         power = (signals.joint_vel * signals.joint_torque).index_select(1, self._index) * self._sign
         stance = (power.clamp(min=0.0).view(-1, 3, 2) * signals.foot_contact[:, None]).sum(dim=2)
@@ -72,7 +126,7 @@ class StanceWork:
         return bsga.work_share(self._power[:, joint], self._power.sum(dim=1), self._least)
 
     def reset(self, mask: Tensor) -> None:
-        """An episode starts without work."""
+        """Clears the work of the envs in `mask`."""
         self._power = self._power.masked_fill(mask[:, None], 0.0)
 
 
@@ -84,18 +138,18 @@ class AirTime:
         self.time = env.zeros(2)
 
     def step(self, env: Env) -> Tensor:
-        """Lets a step pass; which feet carry [N, 2]."""
+        """Advances by a step; returns the feet that carry, [N, 2] bool."""
         carries = env.signals.foot_force >= self._force
         self.time = (self.time + env.step_dt).masked_fill(carries, 0.0)
         return carries
 
     def reset(self, mask: Tensor) -> None:
-        """An episode starts on both feet."""
+        """Puts both feet of the envs in `mask` on the ground."""
         self.time = self.time.masked_fill(mask[:, None], 0.0)
 
 
 class Swing:
-    """Which legs swing, for the swing reward and for the calibration of its target.
+    """Detection of swinging legs, for the swing reward and for the calibration of its target.
 
     A leg swings between `settle_s` and `longest_s` after its foot last carried, while the other foot carries: a foot
     that is held up, a jump and a fall are no swing.
@@ -106,16 +160,10 @@ class Swing:
         self._settle, self._longest = settle_s, longest_s
 
     def step(self, env: Env) -> Tensor:
-        """Lets a step pass; which legs swing [N, 2]."""
+        """Advances by a step; returns the legs that swing, [N, 2] bool."""
         carries, time = self._air.step(env), self._air.time
         return (time >= self._settle) & (time <= self._longest) & carries.flip(1)
 
     def reset(self, mask: Tensor) -> None:
-        """An episode starts on both feet."""
+        """Puts both feet of the envs in `mask` on the ground."""
         self._air.reset(mask)
-
-
-def _gain(env: Env, memory_s: float) -> float:
-    """Weight of a new sample in an exponential moving average with this time constant, s."""
-    require_positive("moving average", memory_s=memory_s)
-    return 1.0 - math.exp(-env.step_dt / memory_s)

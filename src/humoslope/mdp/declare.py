@@ -1,6 +1,7 @@
-"""What an observation function declares of itself: its mirror image, and the quantity that a robot would measure.
+"""Declarations of observation functions: their mirror image, and the quantity that a robot would measure.
 
-A mirror image is a permutation and a sign for each component, for left/right symmetry.
+A mirror image is a permutation and a sign for each component, for left/right symmetry augmentation. The augmentation is
+ours; the paper does not mention it.
 """
 
 from __future__ import annotations
@@ -24,8 +25,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def mirrored_as(image: Callable[..., Image]) -> Callable[[F], F]:
-    """Declares how an observation function's output is mirrored:
-    by `image(env, **params)`, with the term's parameters."""
+    """Declares the mirror image of an observation function, `image(env, **params)` with the term's parameters."""
 
     def declare(func: F) -> F:
         func.mirror_image = image  # type: ignore[attr-defined]
@@ -35,40 +35,42 @@ def mirrored_as(image: Callable[..., Image]) -> Callable[[F], F]:
 
 
 def polar(env: Env, **params: object) -> Image:
-    """A vector such as a velocity: the left component turns round."""
+    """Image of a vector such as a velocity: the left component changes sign."""
     return torch.arange(3), torch.tensor([1.0, -1.0, 1.0])
 
 
 def axial(env: Env, **params: object) -> Image:
-    """A rotation such as an angular velocity: roll and yaw turn round."""
+    """Image of a rotation such as an angular velocity: roll and yaw change sign."""
     return torch.arange(3), torch.tensor([-1.0, 1.0, -1.0])
 
 
 def planar_velocity(env: Env, **params: object) -> Image:
-    """Forward, left, yaw rate."""
+    """Image of a planar velocity (forward, left, yaw rate)."""
     return torch.arange(3), torch.tensor([1.0, -1.0, -1.0])
 
 
 def joints(env: Env, **params: object) -> Image:
-    """One value per joint."""
+    """Image of one value per joint."""
     return joint_image(env.robot)
 
 
 def feet(env: Env, **params: object) -> Image:
-    """One value per foot."""
+    """Image of one value per foot."""
     return torch.tensor([1, 0]), torch.ones(2)
 
 
 def itself(env: Env, **params: object) -> Image:
-    """One value that has no side."""
+    """Image of a single value without a side."""
     return torch.zeros(1, dtype=torch.int64), torch.ones(1)
 
 
 def joint_image(robot: Robot) -> Image:
-    """Left joints change place with right ones; roll and yaw joints turn round, by their names.
+    """Image of one value per joint: left and right joints change places, and roll and yaw joints change sign.
+
+    Sides and axes are read off the joints' names ("left", "right", "_roll_", "_yaw_").
 
     Raises:
-        UserError: If a left joint has no partner.
+        UserError: If a left or right joint has no partner.
     """
     index, sign = [], []
     for name in robot.joint_names:
@@ -81,9 +83,9 @@ def joint_image(robot: Robot) -> Image:
 
 
 def measured_as(quantity: str) -> Callable[[F], F]:
-    """Declares which quantity of `humoslope.deploy.quantities` an observation function returns.
+    """Declares the quantity of `humoslope.deploy.quantities` that an observation function returns.
 
-    An actor can be exported only if each of its observations says so.
+    An actor can be exported only if all its observations declare one.
     """
 
     def declare(func: F) -> F:

@@ -1,20 +1,23 @@
-"""Randomisation, resets and pushes. Every function acts on the worlds in `mask` [N]."""
+"""Randomisation, resets and pushes. Every event acts on the envs in `mask` [N]."""
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from humoslope.errors import UserError
+from humoslope.managers.terms import StatefulTerm
+from humoslope.mdp import terminations
+from humoslope.mdp.curricula import TerrainLevels
+from humoslope.mdp.selection import Body, body_id
+from humoslope.mdp.soles import Soles
+from humoslope.ranges import NotNegative, NotNegativeSpan, Span
 from humoslope.slope import quaternion
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
-
-Range = tuple[float, float]
 
 
 def _set(field: Tensor, mask: Tensor, value: Tensor) -> None:
@@ -23,46 +26,83 @@ def _set(field: Tensor, mask: Tensor, value: Tensor) -> None:
     field.copy_(torch.where(where, value.to(field.dtype), field))
 
 
-def _check(name: str, bounds: Range, least: float = -float("inf")) -> None:
-    low, high = bounds
-    if not least <= low <= high:
-        raise UserError(
-            f"{name} ({low:g}, {high:g}) must be (lowest, highest)"
-            + (f" and at least {least:g}." if least > -1e9 else ".")
-        )
+class ResetOnTile(StatefulTerm):
+    """Reset event: starts the robot upright at the start of its tile, with its soles just above the ground.
 
-
-@lru_cache(maxsize=16)
-def _stance(device: torch.device) -> Tensor:
-    """Points around the root, [5, 2] m, that a standing robot covers."""
-    return torch.tensor([[0.0, 0.0], [0.12, 0.12], [0.12, -0.12], [-0.12, 0.12], [-0.12, -0.12]], device=device)
-
-
-def reset_on_tile(env: Env, mask: Tensor, along: Range, across: Range, yaw: Range, lift: float = 0.01) -> None:
-    """Starts the robot in its default pose at the start of its tile, facing along it.
+    Whatever the ground and the heading, the lowest point of the feet relative to the ground is `lift` above it, in the
+    pose that all reset events together have drawn, in whatever order.
 
     Args:
         along, across: Offset from the tile's spawn place, m.
         yaw: Heading relative to the direction of travel, rad.
-        lift: Height of the soles over the highest ground below the robot, m.
+        lift: Vertical distance of the soles from the ground, m.
+
+    Raises:
+        UserError: If the tile is too short or too narrow for these offsets and the margin of `off_tile`.
     """
-    tiles, start = env.tiles, env.start_qpos
-    x = tiles.origin_w[:, 0] + tiles.spawn_x + env.uniform(*along)
-    y = tiles.origin_w[:, 1] + env.uniform(*across)
-    xy = torch.stack([x, y], dim=1)
-    # Highest of the ground under the stance, so that no foot starts in it.
-    ground = env.terrain.height(xy[:, None] + _stance(env.device)).amax(dim=1)
-    start[:, :2] = xy
-    start[:, 2] += ground + lift
-    start[:, 3:7] = quaternion.from_yaw(env.uniform(*yaw))
+
+    def __init__(self, env: Env, along: Span, across: Span, yaw: Span, lift: NotNegative = 0.01) -> None:
+        self._env, self._along, self._across, self._yaw, self._lift = env, along, across, yaw, lift
+        self._soles = Soles(env.sim.model, env.robot, env.device)
+        _check_tile(env, along, max(abs(edge) for edge in across))
+
+    def __call__(self, env: Env, mask: Tensor) -> None:
+        tiles, start = env.tiles, env.start_qpos
+        start[:, 0] = tiles.origin_w[:, 0] + tiles.spawn_x + env.uniform(*self._along)
+        start[:, 1] = tiles.origin_w[:, 1] + env.uniform(*self._across)
+        start[:, 3:7] = quaternion.from_yaw(env.uniform(*self._yaw))
+
+    def reset(self, mask: Tensor) -> None:
+        """Sets the height of the root. Called when all reset events have written their part of the start."""
+        start = self._env.start_qpos
+        rows = self._env.sim.known_rows(mask)
+        drawn = start[rows]
+        points = self._soles(drawn, quaternion.matrix(drawn[:, 3:7]))  # [n, P, 3] from the root
+        ground = self._env.terrain.height(drawn[:, None, :2] + points[:, :, :2])
+        start[rows, 2] = (ground - points[:, :, 2]).amax(dim=1) + self._lift
 
 
-def reset_joints(env: Env, mask: Tensor, position: Range, velocity: Range) -> None:
-    """Offsets every joint from the default pose, within its range.
+def _check_tile(env: Env, along: tuple[float, float], across: float) -> None:
+    """Checks that robots start, and can earn the next level, before they are at the edge of their tile.
+
+    Raises:
+        UserError: If not, with the length or width that would do.
+    """
+    tiles = env.tiles
+    ends = [term.params["margin"] for _, term in env.cfg.terminations.items() if term.func is terminations.off_tile]
+    margin = max(ends, default=0.0)
+    first, last = (tiles.spawn_x + offset for offset in along)
+    if first < margin:
+        raise UserError(
+            f"robots start from {first:g} m on, but within {margin:g} m of the tile's edge (margin of off_tile) an "
+            f"episode ends; along must be at least {margin - tiles.spawn_x:g} m, or the margin at most {first:g} m."
+        )
+    needs = {"the start": last + margin}
+    for _, term in env.cfg.curriculum.items():
+        up = term.params.get("up", 0.8) if term.func is TerrainLevels else 0.0
+        if up == 1.0 and margin > 0.0:
+            raise UserError(f"up 1 of TerrainLevels cannot be reached with a margin of {margin:g} m at the tile's end.")
+        if up > 0.0:
+            needs[f"{up:.0%} of the way"] = tiles.spawn_x + margin / (1.0 - up) if margin else tiles.spawn_x
+    reason = max(needs, key=lambda name: needs[name])
+    if tiles.length < needs[reason]:
+        raise UserError(
+            f"the tile is {tiles.length:g} m long; for {reason} and a margin of {margin:g} m at its end tile_length "
+            f"must be at least {needs[reason]:g} m."
+        )
+    if tiles.width < 2.0 * (across + margin):
+        raise UserError(
+            f"the tile is {tiles.width:g} m wide; for a start up to {across:g} m off its middle and a margin of "
+            f"{margin:g} m at its sides tile_width must be at least {2.0 * (across + margin):g} m."
+        )
+
+
+def reset_joints(env: Env, mask: Tensor, position: Span, velocity: Span) -> None:
+    """Reset event: offsets every joint from the default pose, within its range.
 
     Args:
-        position: rad.
-        velocity: rad/s.
+        position: Offset of the position, rad.
+        velocity: Velocity, rad/s.
     """
     low, high = env.joint_range.unbind(dim=1)
     joints = env.start_qpos[:, 7:] + env.uniform(*position, env.robot.num_joints)
@@ -70,23 +110,29 @@ def reset_joints(env: Env, mask: Tensor, position: Range, velocity: Range) -> No
     env.start_qvel[:, 6:] = env.uniform(*velocity, env.robot.num_joints)
 
 
-def push(env: Env, mask: Tensor, speed: float) -> None:
-    """Changes the root's horizontal velocity by up to `speed` m/s along each axis."""
+def push(env: Env, mask: Tensor, speed: NotNegative) -> None:
+    """Changes the root's horizontal velocity at once.
+
+    Args:
+        speed: Largest change along world x and along world y, m/s.
+    """
     qvel = env.sim.state("qvel")
     kick = env.uniform(-speed, speed, 2)
     _set(qvel[:, :2], mask, qvel[:, :2] + kick)
 
 
-def randomize_friction(env: Env, mask: Tensor, friction: Range, slope_margin: float) -> None:
-    """Draws the friction of feet on ground, relative to the slope.
+def randomize_friction(env: Env, mask: Tensor, friction: NotNegativeSpan, slope_margin: NotNegative) -> None:
+    """Draws the friction of feet on ground, and raises it to what the tile needs.
+
+    A foot on the steepest stretch of the tile would slide for want of friction otherwise, whatever the policy does.
 
     Args:
         friction: Range of the coefficient.
-        slope_margin: The coefficient is at least tan(grade) plus this; otherwise a slope could not be climbed by
-            anyone.
+        slope_margin: Least distance of the coefficient from the tangent of the tile's steepest inclination over the
+            length of a stance (`Terrain.steepest`).
     """
-    _check("friction", friction, 0.0)
-    set_friction(env, mask, torch.maximum(env.uniform(*friction), torch.tan(env.tiles.grade.abs()) + slope_margin))
+    least = torch.tan(env.tiles.steepest) + slope_margin
+    set_friction(env, mask, torch.maximum(env.uniform(*friction), least))
 
 
 def set_friction(env: Env, mask: Tensor, mu: Tensor) -> None:
@@ -97,12 +143,14 @@ def set_friction(env: Env, mask: Tensor, mu: Tensor) -> None:
             _set(field[:, env.sim.model.geom(geom).id, 0], mask, mu)
 
 
-def randomize_mass(env: Env, mask: Tensor, body: str, added: Range) -> None:
-    """Adds mass to a body, in kg; its inertia scales with it."""
-    _check("added mass", added)
-    model, i = env.sim.model, env.body_id(body)
-    if i < 0:
-        raise UserError(f"randomize_mass: body '{body}' does not exist in {env.robot.name}.")
+def randomize_mass(env: Env, mask: Tensor, body: Body, added: Span) -> None:
+    """Adds mass to a body, whose inertia scales with it.
+
+    Args:
+        body: Name of the body.
+        added: Range of the added mass, kg.
+    """
+    model, i = env.sim.model, body_id(env, body)
     mass = model.body_mass[i] + env.uniform(*added)
     if model.body_mass[i] + added[0] <= 0.0:
         raise UserError(
@@ -114,20 +162,25 @@ def randomize_mass(env: Env, mask: Tensor, body: str, added: Range) -> None:
     env.sim.recompute_constants()
 
 
-def randomize_com(env: Env, mask: Tensor, body: str, offset: float) -> None:
-    """Moves the centre of mass of a body by up to `offset` m along each axis."""
-    i = env.body_id(body)
-    if i < 0:
-        raise UserError(f"randomize_com: body '{body}' does not exist in {env.robot.name}.")
+def randomize_com(env: Env, mask: Tensor, body: Body, offset: NotNegative) -> None:
+    """Moves the centre of mass of a body.
+
+    Args:
+        body: Name of the body.
+        offset: Largest distance along each axis of the body, m.
+    """
+    i = body_id(env, body)
     com = torch.as_tensor(env.sim.model.body_ipos[i], dtype=torch.float32, device=env.device)
     _set(env.sim.expand("body_ipos")[:, i], mask, com + env.uniform(-offset, offset, 3))
     env.sim.recompute_constants()
 
 
-def randomize_gains(env: Env, mask: Tensor, stiffness: Range, damping: Range) -> None:
-    """Scales the gains of every joint's position control, each on its own."""
-    _check("stiffness", stiffness, 0.0)
-    _check("damping", damping, 0.0)
+def randomize_gains(env: Env, mask: Tensor, stiffness: NotNegativeSpan, damping: NotNegativeSpan) -> None:
+    """Scales the gains of every joint's position control, each on its own.
+
+    Args:
+        stiffness, damping: Ranges of the factors.
+    """
     robot = env.robot
     kp = torch.tensor(robot.stiffness, device=env.device) * env.uniform(*stiffness, robot.num_joints)
     kd = torch.tensor(robot.damping, device=env.device) * env.uniform(*damping, robot.num_joints)

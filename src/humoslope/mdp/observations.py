@@ -1,6 +1,6 @@
-"""Observations. Every function returns [N, d] and says how it is mirrored.
+"""Observations. Every function returns [N, d] and declares its mirror image.
 
-Those of the first part are what the robot itself can measure; those of the second are privileged, for the critic only.
+The robot itself can measure those of the first part; those of the second part are privileged, for the critic only.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from torch import Tensor
 
 from humoslope.mdp import declare
 from humoslope.mdp.declare import measured_as, mirrored_as
+from humoslope.ranges import Limit
 from humoslope.slope.descriptor import phi5
+from humoslope.slope.zmp import GRAVITY
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -56,7 +58,7 @@ def joint_vel(env: Env) -> Tensor:
 @mirrored_as(declare.joints)
 @measured_as("last_action")
 def last_action(env: Env) -> Tensor:
-    """The last action, as the policy gave it, [N, J]."""
+    """Last action of the policy, [N, J]."""
     return env.actions.action
 
 
@@ -71,14 +73,14 @@ def base_lin_vel(env: Env) -> Tensor:
 
 @mirrored_as(declare.feet)
 def foot_contact(env: Env) -> Tensor:
-    """Whether each foot touches the ground, [N, 2]."""
+    """1 for each foot that touches the ground, else 0, [N, 2]."""
     return env.signals.foot_contact.to(torch.float32)
 
 
 @mirrored_as(declare.feet)
 def foot_load(env: Env) -> Tensor:
     """Ground force on each foot in units of body weight, [N, 2]."""
-    return env.signals.foot_force / (env.robot.total_mass * 9.81)
+    return env.signals.foot_force / (env.robot.total_mass * GRAVITY)
 
 
 @mirrored_as(declare.feet)
@@ -101,11 +103,14 @@ def _scan_image(env: Env, **params: object) -> declare.Image:
 
 
 @mirrored_as(_scan_image)
-def height_scan(env: Env, clip: float = 1.0) -> Tensor:
-    """H49: height of the root over the points of the ground patch, less its default, m, [N, P].
+def height_scan(env: Env, clip: Limit = 1.0) -> Tensor:
+    """Height of the root above each point of the height scan, less its default, m, [N, P].
+
+    The paper's "compressed height scan H49". It does not say how it is compressed; taking the 49 heights of a 7 x 7
+    grid as they are is ours.
 
     Args:
-        clip: Largest absolute value, m.
+        clip: Bound on the absolute value, m. Ours.
     """
     height = (env.signals.root_pos_w[:, 2:3] - env.robot.default_root_height) - env.height_scan.heights_w
     return height.clamp(-clip, clip)
@@ -117,5 +122,5 @@ def _descriptor_image(env: Env, **params: object) -> declare.Image:
 
 @mirrored_as(_descriptor_image)
 def terrain_descriptor(env: Env) -> Tensor:
-    """phi5 of the ground patch: slope, bank and |slope| in rad, and whether it goes up or down, [N, 5]."""
+    """Descriptor phi5 of the scanned ground: slope, bank and |slope| in rad, and flags for up and down, [N, 5]."""
     return phi5(env.height_scan.descriptor)

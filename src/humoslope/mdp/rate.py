@@ -18,7 +18,7 @@ class RateOfChange:
         self._fresh: Tensor | None = None  # [N] bool
 
     def __call__(self, value: Tensor) -> Tensor:
-        """The derivative, same shape as `value`."""
+        """Returns the derivative, in the shape of `value`."""
         if self._last is None:
             rate = torch.zeros_like(value)
         else:
@@ -29,5 +29,5 @@ class RateOfChange:
         return rate
 
     def reset(self, mask: Tensor) -> None:
-        """The next difference of the worlds in `mask` [N] is zero."""
+        """Makes the next difference of the envs in `mask` [N] zero."""
         self._fresh = mask if self._fresh is None else self._fresh | mask

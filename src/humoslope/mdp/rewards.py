@@ -1,25 +1,26 @@
-"""Rewards for walking along sloped ground. Every function returns [N]; the manager multiplies by weight and time step.
+"""Rewards for walking on sloped ground. Every function returns [N]; the manager multiplies it by weight and time step.
 
-The list starts from Unitree RL Lab's,
-with everything that referred to the world's horizontal plane referred to the ground instead.
+The terms started from Unitree RL Lab's; heights, speeds and lean refer to the ground here, not to the world's
+horizontal plane. The terms as published are in `unitree_rl_lab`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import torch
 from torch import Tensor
 
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp.rate import RateOfChange
-from humoslope.mdp.selection import joint_mask
+from humoslope.mdp.selection import Joints, joint_mask
+from humoslope.ranges import NotNegative, Positive, Range, Share
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
-def track_slope_velocity_exp(env: Env, std: float) -> Tensor:
+def track_slope_velocity_exp(env: Env, std: Positive) -> Tensor:
     """Reward for holding the commanded velocity along the ground, forward and left.
 
     The velocity is taken in the tangent plane of the ground below the root,
@@ -32,7 +33,7 @@ def track_slope_velocity_exp(env: Env, std: float) -> Tensor:
     return torch.exp(error / -(std**2))
 
 
-def track_yaw_rate_exp(env: Env, std: float) -> Tensor:
+def track_yaw_rate_exp(env: Env, std: Positive) -> Tensor:
     """Reward for turning about the vertical as commanded.
 
     Args:
@@ -43,22 +44,22 @@ def track_yaw_rate_exp(env: Env, std: float) -> Tensor:
 
 
 def alive(env: Env) -> Tensor:
-    """One, always: an episode that goes on is worth something."""
+    """Constant 1: reward for every second that an episode lasts."""
     return torch.ones(env.num_envs, device=env.device)
 
 
 def fall(env: Env) -> Tensor:
-    """One in the step in which an episode ends in failure."""
+    """1 in the step in which an episode ends in failure, else 0."""
     return env.terminations.terminated.to(torch.float32)
 
 
 def slope_normal_velocity_l2(env: Env) -> Tensor:
-    """Squared speed of the root out of the ground, (m/s)^2; stands for the vertical speed penalty on the flat."""
+    """Squared speed of the root at right angles to the ground, (m/s)^2; vertical speed on the flat."""
     return env.signals.root_lin_vel_t[:, 2].square()
 
 
 def ang_vel_xy_l2(env: Env) -> Tensor:
-    """Squared roll and pitch rate of the root, (rad/s)^2."""
+    """Squared roll and pitch rate of the root, summed, (rad/s)^2."""
     return env.signals.root_ang_vel_b[:, :2].square().sum(dim=1)
 
 
@@ -67,19 +68,19 @@ def roll_l2(env: Env) -> Tensor:
     return env.signals.projected_gravity_b[:, 1].square()
 
 
-def pitch_l2(env: Env, slope_share: float) -> Tensor:
-    """Squared sine of the root's pitch beyond what the slope allows.
+def pitch_l2(env: Env, slope_share: Share) -> Tensor:
+    """Squared sine of the root's pitch beyond the lean that the slope allows.
 
     Walking up or down needs a lean; a pelvis kept upright is what holds a policy back beyond 20 degrees.
 
     Args:
-        slope_share: Lean that costs nothing, as a share of the ground's inclination.
+        slope_share: Lean without cost, as a share of the ground's inclination.
     """
     free = torch.sin(slope_share * env.signals.slope_pitch.abs())
     return (env.signals.projected_gravity_b[:, 0].abs() - free).clamp(min=0.0).square()
 
 
-def root_height_l2(env: Env, target: float) -> Tensor:
+def root_height_l2(env: Env, target: NotNegative) -> Tensor:
     """Squared error of the root's height above the ground below it, m^2.
 
     Args:
@@ -89,7 +90,7 @@ def root_height_l2(env: Env, target: float) -> Tensor:
 
 
 class JointAccelerationL2(StatefulTerm):
-    """Squared joint accelerations over one control step, (rad/s^2)^2."""
+    """Squared joint accelerations over one control step, summed, (rad/s^2)^2."""
 
     def __init__(self, env: Env) -> None:
         self._rate = RateOfChange(env.step_dt)
@@ -98,17 +99,21 @@ class JointAccelerationL2(StatefulTerm):
         return self._rate(env.signals.joint_vel).square().sum(dim=1)
 
     def reset(self, mask: Tensor) -> None:
-        """The next difference is no acceleration."""
+        """Makes the next acceleration of the envs in `mask` zero."""
         self._rate.reset(mask)
 
 
 def action_rate_l2(env: Env) -> Tensor:
-    """Squared change of the action over one step."""
+    """Squared change of the action over one step, summed."""
     return (env.actions.action - env.actions.previous_action).square().sum(dim=1)
 
 
-def joint_pos_limits(env: Env, soft: float) -> Tensor:
-    """How far joints are outside the middle share `soft` of their range, rad, summed."""
+def joint_pos_limits(env: Env, soft: Annotated[float, Range(0.0, 1.0, open_low=True)]) -> Tensor:
+    """Distance of the joints beyond the middle share of their range, summed, rad.
+
+    Args:
+        soft: That share.
+    """
     low, high = env.joint_range.unbind(dim=1)
     margin = 0.5 * (1.0 - soft)
     pos = env.signals.joint_pos
@@ -117,12 +122,12 @@ def joint_pos_limits(env: Env, soft: float) -> Tensor:
 
 
 def energy(env: Env) -> Tensor:
-    """Mechanical power, positive and negative counted alike, W."""
+    """Absolute mechanical power of the joints, summed, W."""
     return (env.signals.joint_vel * env.signals.joint_torque).abs().sum(dim=1)
 
 
-def joint_deviation_l1(env: Env, joints: str) -> Tensor:
-    """Distance of the joints from the default pose, rad, summed.
+def joint_deviation_l1(env: Env, joints: Joints) -> Tensor:
+    """Distance of the joints from the default pose, summed, rad.
 
     Args:
         joints: Regular expression on whole joint names.
@@ -131,12 +136,12 @@ def joint_deviation_l1(env: Env, joints: str) -> Tensor:
 
 
 def foot_slide(env: Env) -> Tensor:
-    """Speed of the feet that touch the ground, m/s, summed."""
+    """Speed of the feet that touch the ground, summed, m/s."""
     return (env.signals.foot_lin_vel_w.norm(dim=2) * env.signals.foot_contact).sum(dim=1)
 
 
-def foot_clearance_exp(env: Env, target: float, std: float, speed_scale: float) -> Tensor:
-    """Reward for feet that are high above the ground while they move.
+def foot_clearance_exp(env: Env, target: NotNegative, std: Positive, speed_scale: Positive) -> Tensor:
+    """Reward for moving feet at a height above the ground.
 
     Args:
         target: Height of the sole over the ground below it, m.
@@ -148,19 +153,26 @@ def foot_clearance_exp(env: Env, target: float, std: float, speed_scale: float) 
     return torch.exp(error.sum(dim=1) / -(std**2))
 
 
-def body_contact(env: Env, force: float) -> Tensor:
-    """One where anything but the feet presses on the ground with more than `force` N."""
+def body_contact(env: Env, force: NotNegative) -> Tensor:
+    """1 where the ground presses on anything but the feet, else 0.
+
+    Args:
+        force: Least force that counts, N.
+    """
     return (env.signals.body_force > force).to(torch.float32)
 
 
 class SingleStance(StatefulTerm):
-    """Time on one leg: rewards stepping without prescribing a clock.
+    """Reward for time on one leg, so that the robot steps without a prescribed clock.
 
-    The value is the shorter of the times that the two feet have been in their present mode, as a share of `cap` (s)
-    and at most one; zero unless exactly one foot is down, and for worlds that are asked to stand.
+    The value is the time since a foot last landed or lifted, the shorter one of the two feet, as a share of `cap` and
+    at most 1. It is 0 unless exactly one foot is down, and in envs that are commanded to stand.
+
+    Args:
+        cap: Time from which the reward is full, s.
     """
 
-    def __init__(self, env: Env, cap: float) -> None:
+    def __init__(self, env: Env, cap: Positive) -> None:
         self._cap = cap
         self._contact = env.signals.foot_contact
         self._time_in_mode = env.zeros(2)  # [N, 2] s since the foot last landed or lifted
@@ -174,5 +186,5 @@ class SingleStance(StatefulTerm):
         return (self._time_in_mode.amin(dim=1) / self._cap).clamp(max=1.0) * single
 
     def reset(self, mask: Tensor) -> None:
-        """Time starts anew."""
+        """Sets the times of the envs in `mask` to zero."""
         self._time_in_mode = self._time_in_mode.masked_fill(mask[:, None], 0.0)

@@ -1,33 +1,47 @@
-"""Reasons to end an episode; every function returns [N] bool."""
+"""Terminations; every function returns [N] bool."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from torch import Tensor
+
+from humoslope.ranges import NotNegative, Range
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
 def time_out(env: Env) -> Tensor:
-    """The episode has lasted its full length."""
+    """Ends an episode that has lasted its full length."""
     return env.episode_length_buf >= env.max_episode_length
 
 
-def root_too_low(env: Env, height: float) -> Tensor:
-    """The root is less than `height` m above the ground below it."""
+def root_too_low(env: Env, height: NotNegative) -> Tensor:
+    """Ends an episode whose robot has its root close to the ground.
+
+    Args:
+        height: Least height of the root above the ground below it, m.
+    """
     return env.signals.root_height < height
 
 
-def tilted(env: Env, degrees: float) -> Tensor:
-    """The root leans more than `degrees` away from the vertical."""
+def tilted(env: Env, degrees: Annotated[float, Range(0.0, 180.0)]) -> Tensor:
+    """Ends an episode whose robot leans too far.
+
+    Args:
+        degrees: Largest angle between the root's up axis and the vertical, degrees.
+    """
     return env.signals.projected_gravity_b[:, 2] > -math.cos(math.radians(degrees))
 
 
-def off_tile(env: Env, margin: float) -> Tensor:
-    """The root has left its tile, or come closer than `margin` m to its edge."""
+def off_tile(env: Env, margin: NotNegative) -> Tensor:
+    """Ends an episode whose robot has come to the edge of its tile.
+
+    Args:
+        margin: Least distance of the root from the edge, m.
+    """
     x, y = (env.signals.root_pos_w - env.tiles.origin_w).unbind(dim=1)[:2]
     tiles = env.tiles
     return (x < margin) | (x > tiles.length - margin) | (y.abs() > 0.5 * tiles.width - margin)

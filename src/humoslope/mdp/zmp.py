@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import torch
 from torch import Tensor
 
-from humoslope.errors import UserError
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp.rate import RateOfChange
+from humoslope.ranges import Limit, Positive, Range, Share
 from humoslope.slope import zmp
 
 if TYPE_CHECKING:
@@ -17,41 +17,42 @@ if TYPE_CHECKING:
 
 
 class ZmpRegulariser(StatefulTerm):
-    """exp(-d_zmp / sigma): the closer the zero-moment point is to the support anchor, the better balanced.
+    """Reward exp(-d_zmp / sigma) for a zero-moment point close to the support anchor.
+
+    The paper gives the structure but no numbers, and takes the CoM's acceleration as it is. The values of `sigma` and
+    `epsilon` are ours, and so are filtering and clipping of the acceleration, the least pressure, the cut of the
+    deviation and the hold of the normal in flight: a simulated contact makes single accelerations meaningless.
 
     Args:
-        sigma: Deviation at which the reward has fallen to 1/e, m. 0.10: about half a foot.
-        epsilon: Force that smooths the anchor, N.
-        smoothing: Weight of the past in the moving average of the CoM's acceleration; contacts make it noisy.
-        acc_limit: Largest CoM acceleration believed, m/s^2.
+        sigma: Deviation at which the reward has fallen to 1/e, m. 0.10 is about half a foot. Ours.
+        epsilon: Force added to both feet in the anchor's weights, N. Ours.
+        smoothing: Weight of the past in the moving average of the CoM's acceleration. Ours.
+        acc_limit: Bound on each component of the CoM's acceleration before it is averaged, m/s^2. Ours.
         least_pressure: Smallest apparent force on the plane for which a ZMP is defined, m/s^2; below it the reward is
-            zero.
-        largest_deviation: Deviations are cut here, m.
-        flight_share: Below this share of body weight on the feet the last support normal holds.
-        plane: "support" takes the dominant foot's plane (the paper's regulariser); "horizontal" the world-horizontal
-            plane through the anchor, which the paper argues against.
+            zero. Ours.
+        largest_deviation: Bound on the deviation, m. Ours.
+        flight_share: Share of body weight on the feet below which the last support normal is held. Ours.
+        plane: "support" for the plane of the foot with more load (the paper's regulariser), "horizontal" for the
+            horizontal plane through the anchor, which the paper argues against.
 
     Attributes:
-        anchor, normal, point: [N, 3] support anchor, support plane's normal and zero-moment point of the last call.
-        valid: [N] bool; whether that point was defined.
+        anchor, normal, point: [N, 3] support anchor, normal of the support plane and zero-moment point of the last
+            call.
+        valid: [N] bool; True where that point was defined.
     """
 
     def __init__(
         self,
         env: Env,
-        sigma: float = 0.10,
-        epsilon: float = 1.0,
-        smoothing: float = 0.5,
-        acc_limit: float = 20.0,
-        least_pressure: float = 2.0,
-        largest_deviation: float = 0.5,
-        flight_share: float = 0.1,
+        sigma: Positive = 0.10,
+        epsilon: Positive = 1.0,
+        smoothing: Annotated[float, Range(0.0, 1.0, open_high=True)] = 0.5,
+        acc_limit: Limit = 20.0,
+        least_pressure: Positive = 2.0,
+        largest_deviation: Limit = 0.5,
+        flight_share: Share = 0.1,
         plane: Literal["support", "horizontal"] = "support",
     ) -> None:
-        if plane not in ("support", "horizontal"):
-            raise UserError(f"ZMP regulariser: plane '{plane}' must be 'support' or 'horizontal'.")
-        if sigma <= 0.0:
-            raise UserError(f"ZMP regulariser: sigma {sigma} must be positive.")
         self._sigma, self._epsilon = sigma, epsilon
         self._smoothing, self._acc_limit = smoothing, acc_limit
         self._least_pressure, self._largest_deviation = least_pressure, largest_deviation
@@ -82,7 +83,7 @@ class ZmpRegulariser(StatefulTerm):
         return self._normal
 
     def reset(self, mask: Tensor) -> None:
-        """Acceleration and support plane of the last episode are forgotten."""
+        """Clears acceleration and support plane of the envs in `mask`."""
         self._rate.reset(mask)
         self._com_acc = self._com_acc.masked_fill(mask[:, None], 0.0)
         self._normal = torch.where(mask[:, None], self._up, self._normal)

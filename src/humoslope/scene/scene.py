@@ -8,7 +8,7 @@ import mujoco
 
 from humoslope.errors import unknown
 from humoslope.scene.robot import Robot
-from humoslope.scene.sensors import add_contact_sensors
+from humoslope.scene.sensors import add_contact_sensors, add_robot_sensors
 from humoslope.terrain.grid import Terrain
 from humoslope.terrain.mjcf import add_terrain
 
@@ -30,6 +30,7 @@ def build_model(
     if cone not in CONES:
         raise unknown("friction cone", cone, CONES)
     spec = robot.make_spec()
+    add_robot_sensors(spec, robot)
     add_terrain(spec, terrain)
     add_contact_sensors(spec, robot)
     spec.option.timestep = timestep

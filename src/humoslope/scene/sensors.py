@@ -6,9 +6,7 @@ import mujoco
 from mujoco import mjtObj, mjtSensor
 
 from humoslope.scene.robot import Robot
-
-TERRAIN_GEOM = "terrain"
-"""Name of the geom that carries the ground."""
+from humoslope.terrain.mjcf import TERRAIN_GEOM
 
 SIDES = ("left", "right")
 

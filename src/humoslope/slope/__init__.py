@@ -1,1 +1,1 @@
-"""The mathematics of slopes as pure tensor functions."""
+"""Mathematics of slopes as pure tensor functions."""

@@ -1,11 +1,11 @@
-"""The rewards of the Biomechanical Slope Gait Adapter (BSGA, paper, section 3.2) as pure functions.
+"""Rewards of the Biomechanical Slope Gait Adapter (BSGA; paper, section 3.2) as pure functions.
 
 [...] is any batch shape, and a last axis of 2 the left and the right leg. Angles are in rad, slopes positive uphill;
 `up` and `down` are the terrain descriptor's 1_up and 1_down (bool). Hip and knee angles count flexion as positive.
 
 The paper gives the structure (eq. bsga_core, com_height, bio_prior, swing_calibration) and leaves shapes and numbers
-open. Both are proposed here: the constants say where each number comes from, and the terms in `mdp/gait.py` take every
-one of them as a parameter.
+open. Both are ours: each constant comes with the source of its value, and is the default of a parameter of the terms in
+`mdp/bsga.py`. The gate by progress is ours too.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FULL_SLOPE = math.radians(30.0)
 
 COM_STD = 0.10
 """CoM height error at which r_com is 1/e, m. Crouched gaits are 0.13 to 0.15 m too low; at half this width they would
-see no gradient."""
+get no gradient."""
 
 OFFSET_UP, OFFSET_DOWN = 0.01, -0.03
 """b_up and b_down of eq. com_height, m: nearly upright uphill, more flexed downhill, as the paper's figures show."""
@@ -44,7 +44,7 @@ BRAKE_SHARE = 0.45
 Grabowski 2018)."""
 
 STEP_TIME, STEP_MARGIN = 0.4, 0.05
-"""Time of a step, s (gait period 0.8 s in Unitree RL Lab), and length it may be too long, m."""
+"""Time of a step, s (half the gait period of 0.8 s in Unitree RL Lab), and tolerated excess length, m."""
 
 STEP_SHORTENING = 0.25
 """Share by which steps shorten to full slope. Franz & Kram (2012) measured 13 % at -9 degrees and 0.75 m/s; 25 % at
@@ -83,13 +83,14 @@ def branch_weights(
     lambda_brake: float = 0.7,
     lambda_stride: float = 0.3,
 ) -> BranchWeights:
-    """Resolves eq. bsga_core and eq. bio_prior into one weight per term:
+    """Returns eq. bsga_core and eq. bio_prior as one weight per term:
 
     r_core = w_com r_com + w_bio (w_up r_hip + w_down (lambda_brake r_brake + lambda_stride r_stride)) / (w_up + w_down)
     + w_swing r_swing.
 
     The paper calls the biomechanical branch low-weight; the gates of ascent and descent exclude each other, so with the
-    defaults it is at most half of `w_bio`. All weights are per second beside a velocity tracking weight of 1 to 2.
+    defaults it is at most half of `w_bio`. All weights are per second, next to a velocity tracking weight of 1 to 2.
+    The numbers are ours.
 
     Raises:
         UserError: If `w_up` + `w_down` is not positive.
@@ -101,7 +102,7 @@ def branch_weights(
 
 
 def progress(speed: Tensor, asked: Tensor, least: float) -> Tensor:
-    """Gate of all terms: the share of the commanded forward speed that is walked, in [0, 1], zero where none is asked.
+    """Gate of all terms: share of the commanded forward speed that is walked, in [0, 1]; zero where none is commanded.
 
     Without it a robot would earn most of BSGA by standing in the right posture.
 
@@ -166,17 +167,9 @@ def hip_reward(share: Tensor, rho: Tensor, up: Tensor, level: float, rise: float
 
 
 def brake_reward(
-    knee: Tensor,
-    load: Tensor,
-    share: Tensor,
-    rho: Tensor,
-    down: Tensor,
-    flexion: float,
-    rise: float,
-    std: float,
-    full_share: float,
+    knee: Tensor, load: Tensor, share: Tensor, down: Tensor, *, target: Tensor, std: float, full_share: float
 ) -> Tensor:
-    """r_brake = 1_down exp(-((q - q*) / std)^2) min(s / full_share, 1) with q* = flexion + rise rho (in eq. bio_prior).
+    """r_brake = 1_down exp(-((q - q*) / std)^2) min(s / full_share, 1) (in eq. bio_prior).
 
     Rewards knees that are flexed while they carry and do the braking, [...]. Each leg counts by its share of the load,
     so that the value does not jump when the weight changes legs; in flight it is zero.
@@ -185,33 +178,30 @@ def brake_reward(
         knee: [..., 2] knee flexion q, rad.
         load: [..., 2] contact force, N.
         share: [...] knee's share s of the negative work of hip, knee and ankle.
+        target: [...] flexion q*, rad.
     """
-    target = (flexion + rise * rho).unsqueeze(-1)
-    posture = torch.exp(-((knee - target) / std).square())  # [..., 2]
+    posture = torch.exp(-((knee - target.unsqueeze(-1)) / std).square())  # [..., 2]
     # At least a newton, so that flight divides by something.
     stance = (posture * load).sum(dim=-1) / load.sum(dim=-1).clamp(min=1.0)
     return stance * (share / full_share).clamp(max=1.0) * down
 
 
-def stride_reward(
-    length: Tensor,
-    asked: Tensor,
-    rho: Tensor,
-    down: Tensor,
-    step_time: float,
-    margin: float,
-    shortening: float,
-    std: float,
-) -> Tensor:
-    """r_stride = 1_down exp(-max(0, L - L*) / std) with L* = (v step_time + margin) (1 - shortening rho), [...].
+def longest_step(asked: Tensor, rho: Tensor, step_time: float, margin: float, shortening: float) -> Tensor:
+    """Longest step without cost, L* = (v step_time + margin) (1 - shortening rho), [...] m.
 
-    Over-stepping downhill costs (in eq. bio_prior); a short step does not.
+    Args:
+        asked: [...] commanded forward speed v, m/s.
+    """
+    return (asked * step_time + margin) * (1.0 - shortening * rho)
+
+
+def stride_reward(length: Tensor, longest: Tensor, down: Tensor, std: float) -> Tensor:
+    """r_stride = 1_down exp(-max(0, L - L*) / std), [...]; over-stepping downhill costs (in eq. bio_prior).
 
     Args:
         length: [...] distance L of the feet along the heading at touchdown, m.
-        asked: [...] commanded forward speed v, m/s.
+        longest: [...] L*, m, see `longest_step`.
     """
-    longest = (asked * step_time + margin) * (1.0 - shortening * rho)
     return torch.exp((longest - length).clamp(max=0.0) / std) * down
 
 

@@ -1,4 +1,4 @@
-"""The five-dimensional PCA terrain descriptor of the paper's section 3.2, as pure functions."""
+"""Five-dimensional PCA terrain descriptor of the paper's section 3.2, as pure functions."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import torch
 from torch import Tensor
 
 LEAST_SPREAD = 0.01
-"""By how much the variances along the two long axes of the points must exceed that along the third, multiplied, as
-shares of the whole variance. Points ten times as long as wide are about there, and taken for a line, on which a plane
-could turn."""
+"""Least product of two differences: those between the variances along the two long axes of the points and the variance
+along the third, as shares of the whole variance. Points ten times as long as wide are about there; below it they count
+as a line, about which a plane could turn. Ours."""
 
 STEEPEST = math.radians(80.0)
-"""A steeper plane is not ground."""
+"""Inclination from which a plane does not count as ground, rad. Ours."""
 
 
 class Descriptor(NamedTuple):
-    """How the ground around a robot lies, seen in the direction it faces.
+    """Orientation of the ground around a robot, in the robot's heading frame.
 
     Attributes:
         normal: [..., 3] unit normal (forward, left, up); the up component is positive.
         slope: [...] rad, positive where the ground rises ahead.
         bank: [...] rad, positive where the ground rises to the left.
         up, down: [...] bool, slope beyond the dead band.
-        valid: [...] bool; elsewhere the points have no plane, and the rest reads level ground.
+        valid: [...] bool; False where the points have no plane, and everything else is that of level ground.
     """
 
     normal: Tensor
@@ -44,7 +44,7 @@ def terrain_descriptor(points: Tensor, valid: Tensor, dead_band: float) -> Descr
 
     Args:
         points: [..., P, 3] forward, left and height in the robot's heading frame, m.
-        valid: [..., P] bool; what the other points hold does not matter, not even NaN.
+        valid: [..., P] bool; the other points are ignored, even if they are NaN.
         dead_band: Slope up to which the ground counts as level, rad.
     """
     here = valid.unsqueeze(-2)
@@ -70,7 +70,7 @@ def terrain_descriptor(points: Tensor, valid: Tensor, dead_band: float) -> Descr
 
 
 def phi5(descriptor: Descriptor) -> Tensor:
-    """The descriptor as the critic sees it (paper, section 3.2): slope, bank, |slope|, 1_up, 1_down, [..., 5]."""
+    """Descriptor as the critic observes it (paper, section 3.2): slope, bank, |slope|, 1_up, 1_down, [..., 5]."""
     d = descriptor
     return torch.stack((d.slope, d.bank, d.slope.abs(), d.up.to(d.slope.dtype), d.down.to(d.slope.dtype)), dim=-1)
 

@@ -1,4 +1,4 @@
-"""The calibrated hip-pitch reference of the swing leg (paper, equation swing_calibration)."""
+"""Calibrated hip-pitch reference of the swing leg (paper, equation swing_calibration)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from humoslope.errors import UserError
 
 @dataclass(frozen=True)
 class SwingCalibration:
-    """Coefficients of the reference.
+    """Coefficients of the hip-pitch reference.
 
     Attributes:
         beta0: Hip flexion on flat ground and downhill, rad.
         beta1: Flexion added per inclination, rad/rad.
-        theta_clip: Inclination from which on nothing is added, rad.
+        theta_clip: Inclination from which no more is added, rad.
 
     Raises:
         UserError: If a coefficient is not finite, or theta_clip is not between 0 and pi/2.
@@ -37,7 +37,7 @@ class SwingCalibration:
             )
 
     def target(self, slope: Tensor) -> Tensor:
-        """Hip flexion wanted in swing, beta0 + beta1 clip(slope, 0, theta_clip), in the shape of `slope`, rad.
+        """Target hip flexion in swing, beta0 + beta1 clip(slope, 0, theta_clip), in the shape of `slope`, rad.
 
         Flexion counts forward from the standing leg: it is the negative angle of a hip pitch joint about the left axis.
 
@@ -48,6 +48,6 @@ class SwingCalibration:
 
 
 PRIOR = SwingCalibration(beta0=0.45, beta1=1.0, theta_clip=math.radians(30.0))
-"""For when nothing was measured. The paper gives no numbers. On a slope the foot must come down higher by about the
-angle of the ground, so the hip flexes by as much more (beta1 = 1); beta0 lies a little above the flexion that the
-Unitree G1 stands with (0.31 rad); theta_clip is the steepest grade of the paper's benchmark."""
+"""Calibration without a measurement. The paper gives no numbers; these are ours. On a slope the foot must come
+down higher by about the angle of the ground, so the hip flexes by as much more (beta1 = 1); beta0 lies a little above
+the flexion that the Unitree G1 stands with (0.31 rad); theta_clip is the steepest grade of the paper's benchmark."""

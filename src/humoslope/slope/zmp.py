@@ -1,4 +1,4 @@
-"""The slope-adaptive zero-moment-point deviation of the paper's section 3.1, as pure functions.
+"""Slope-adaptive zero-moment-point deviation of the paper's section 3.1, as pure functions.
 
 All points and vectors are [..., 3] in the world frame, in metres, m/s^2 and newtons.
 """
@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 GRAVITY = 9.81
+"""Acceleration of gravity, m/s^2, as in MuJoCo's default."""
 
 
 def support_anchor(foot_pos: Tensor, foot_force: Tensor, epsilon: float) -> Tensor:
@@ -48,7 +49,7 @@ def apparent_force(com_acc: Tensor) -> Tensor:
 
 
 def zmp_on_plane(com: Tensor, apparent: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
-    """Where the apparent-force ray through the CoM meets the support plane, [..., 3].
+    """Intersection of the apparent-force ray through the CoM with the support plane, [..., 3].
 
     The ray must not be parallel to the plane; see `presses_on_plane`.
     """
@@ -57,7 +58,7 @@ def zmp_on_plane(com: Tensor, apparent: Tensor, anchor: Tensor, normal: Tensor) 
 
 
 def presses_on_plane(apparent: Tensor, normal: Tensor, least: float) -> Tensor:
-    """Whether the apparent force presses into the plane with at least `least` m/s^2, [...] bool.
+    """True where the apparent force presses into the plane with at least `least` m/s^2, [...] bool.
 
     Near-parallel rays meet the plane far away, and in free fall there is no zero-moment point.
     """
@@ -67,7 +68,7 @@ def presses_on_plane(apparent: Tensor, normal: Tensor, least: float) -> Tensor:
 def zero_moment_point(
     com: Tensor, com_acc: Tensor, anchor: Tensor, normal: Tensor, least: float
 ) -> tuple[Tensor, Tensor]:
-    """Zero-moment point on the support plane, and whether it is defined.
+    """Zero-moment point on the support plane, and a mask of where it is defined.
 
     Args:
         com: Whole-body centre of mass.

@@ -1,4 +1,4 @@
-"""A course: one long tile of named segments that policies are measured on and never trained on."""
+"""Courses: long tiles of named segments for evaluations, never for training."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _COURSES: dict[str, Course] = {}
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of a course.
+    """Stretch of a course.
 
     Attributes:
-        name: Shown in pictures and tables.
+        name: Name in pictures and tables.
         length: Extent along x, m.
-        direction: Of the nominal grade: +1 up, -1 down, 0 level.
-        surface: What lies on it, such as "rough".
+        direction: Sign of the grade: +1 up, -1 down, 0 level.
+        surface: Name of its surface, such as "rough". A label: the course's height function makes the surface.
     """
 
     name: str
@@ -49,10 +49,10 @@ class Course:
     """Segments one after the other, at any nominal grade of a range.
 
     Attributes:
-        name: Also that of its terrain.
-        segments: From x = 0 on.
-        height: `(x, y, grade, rng) -> height`, as of a terrain.
-        grade: Range of the nominal grade, degrees.
+        name: Name of the course and of its terrain.
+        segments: Segments from x = 0 on.
+        height: Height function `(x, y, grade, rng) -> height`, as that of a terrain.
+        grade: Least and largest nominal grade, degrees.
         width: Extent across, m; half of it to each side of the centre line.
         cell: Distance between neighbouring heights, m.
     """
@@ -71,13 +71,15 @@ class Course:
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Where each segment ends, m from the start."""
+        """End of each segment, m from the start."""
         # Lengths are decimal fractions; their sums must not carry the error of binary ones.
         return tuple(round(end, 9) for end in itertools.accumulate(s.length for s in self.segments))
 
     def segment_at(self, x: Tensor) -> Tensor:
-        """Index of the segment at each place `x` [...] along the course, int64 [...]; beyond an end, that end's.
-        A joint belongs to the segment that begins there."""
+        """Index of the segment at each place `x` [...] along the course, int64 [...].
+
+        A joint belongs to the segment that begins there; places beyond an end belong to the segment at that end.
+        """
         inner = torch.tensor(self.ends[:-1], dtype=x.dtype, device=x.device)
         return torch.bucketize(x, inner, right=True)
 
@@ -102,7 +104,7 @@ def course(
     """Registers a height function as a course, and as a terrain of that name which no training grid may hold.
 
     Args:
-        name: What evaluations and the command line call it.
+        name: Name for evaluations and the command line.
         segments, grade, width, cell: As in `Course`.
 
     Raises:
@@ -118,12 +120,12 @@ def course(
 
 
 def find(name: str) -> Course:
-    """The course of that name; raises `UserError` with the nearest match if there is none."""
+    """Returns the course called `name`; raises `UserError` with the nearest match if there is none."""
     if name not in _COURSES:
         raise unknown("course", name, _COURSES)
     return _COURSES[name]
 
 
 def is_course(name: str) -> bool:
-    """Whether a terrain is a course."""
+    """True if the terrain called `name` is a course."""
     return name in _COURSES

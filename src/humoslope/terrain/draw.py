@@ -1,14 +1,14 @@
-"""A terrain on paper: its tile seen from the side and from above, at several levels."""
+"""Pictures of a terrain: its tiles from the side and from above, at several difficulties."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from humoslope.errors import UserError
+from humoslope.files import write_atomically
 from humoslope.terrain import course, registry
 from humoslope.terrain.course import Course
 from humoslope.terrain.grid import SPAWN_X, TerrainGridCfg, tile_points
@@ -17,41 +17,34 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 DIFFICULTIES = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Difficulties that are drawn."""
 INK = "#333333"
 
 
-def run(
-    name: str,
-    out: Path,
-    *,
-    seed: int = 0,
-    difficulties: Sequence[float] = DIFFICULTIES,
-    grid: TerrainGridCfg | None = None,
-) -> Path:
+def run(name: str, out: Path, *, seed: int = 0) -> Path:
     """Writes a PNG of a registered terrain: profiles along the centre line, and relief coloured by the local grade.
-    A course has its segments named.
+
+    A terrain of one grade is drawn once, any other at `DIFFICULTIES`, on tiles of the default size. A course has its
+    own size, and its segments are named.
 
     Args:
-        name: Of the terrain.
-        out: Where to write; folders are made.
-        seed: Of the random numbers; the picture shows the tiles of column 0.
-        difficulties: In [0, 1], one tile each; a terrain of one grade is drawn once.
-        grid: Gives tile size and cell; by default those of `TerrainGridCfg`. A course has its own.
+        name: Name of the terrain.
+        out: File to write; folders are made.
+        seed: Seed of the random numbers; the picture shows the tiles of column 0.
+
     Returns:
-        Where it was written.
+        Path of the picture.
+
     Raises:
-        UserError: No such terrain, no or impossible difficulties, or a place that cannot be written to.
+        UserError: If there is no such terrain, or the picture cannot be written.
     """
-    if not difficulties or not all(0.0 <= difficulty <= 1.0 for difficulty in difficulties):
-        raise UserError(f"terrain '{name}': difficulties are {list(difficulties)}; give one or more between 0 and 1.")
     kind = registry.find(name)
-    if kind.grade[0] == kind.grade[1]:
-        difficulties = difficulties[:1]
+    difficulties = DIFFICULTIES[:1] if kind.grade[0] == kind.grade[1] else DIFFICULTIES
     drawn = course.find(name) if course.is_course(name) else None
     if drawn is not None:
         x, y = tile_points(drawn.length, drawn.width, drawn.cell)
     else:
-        grid = grid or TerrainGridCfg(columns={name: 1.0})
+        grid = TerrainGridCfg(columns={name: 1.0})
         x, y = tile_points(grid.tile_length, grid.tile_width, grid.cell)
     tiles = []
     for level, difficulty in enumerate(difficulties):
@@ -59,8 +52,7 @@ def run(
         tiles.append((grade, kind.heights(x, y, grade, np.random.default_rng((seed, 0, level)))))
     out = out if out.suffix else out.with_suffix(".png")
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        _draw(name, x, y, tiles, out, drawn)
+        write_atomically(out, lambda temporary: _draw(name, x, y, tiles, temporary, drawn))
     except OSError as error:
         raise UserError(f"cannot write the picture of terrain '{name}' to {out}: {error.strerror}.") from None
     return out

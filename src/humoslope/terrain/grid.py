@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,22 @@ from humoslope.errors import UserError
 from humoslope.terrain import registry
 
 SPAWN_X = 0.75
-"""Where a robot starts, m from the start of its tile."""
+"""Distance of a robot's start from the start of its tile, m."""
+
+STANCE = 0.3
+"""Length over which the inclination of the ground is taken for friction, m: a foot and a half of the G1. The side of a
+shorter bump carries only a part of a foot. Ours."""
+
+SLOPE_KEPT = 0.5
+"""Share of its grade, as a tangent, that a tile must really have somewhere; with less, its slope has been lost."""
+
+LONGEST = 60.0
+"""Longest tile that is tried to find a length that would do, m."""
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """A height field in the world frame; levels lie along world x, the direction of travel, columns along y.
+    """Height field of tiles, in the world frame; levels lie along world x, the direction of travel, columns along y.
 
     Attributes:
         heights: [nx, ny] float32, m; the first index runs along x.
@@ -27,10 +38,10 @@ class Terrain:
         origin: World x, y of `heights[0, 0]`, m.
         tile_origin: [levels, columns, 3] world position of the start of each tile's centre line, m.
         kind: Name of the terrain in each column.
-        grade: [levels, columns] degrees; what each tile was asked for, never signed by up or down.
+        grade: [levels, columns] nominal grade of each tile, degrees, without a sign for up or down.
         tile_length: Extent of a tile along x, m.
         tile_width: Extent of a tile along y, m.
-        spawn_x: Where a robot starts, m from the start of its tile.
+        spawn_x: Distance of a robot's start from the start of its tile, m.
     """
 
     heights: NDArray[np.float32]
@@ -45,26 +56,40 @@ class Terrain:
 
     @property
     def is_flat(self) -> bool:
-        """Whether every height is the same."""
+        """True if every height is the same."""
         return bool((self.heights == self.heights[0, 0]).all())
+
+    @cached_property
+    def steepest(self) -> NDArray[np.float64]:
+        """Largest inclination on each tile over a length of `STANCE`, [levels, columns] degrees; see `steepest`."""
+        tiles = self.tile_origin.reshape(-1, 3)
+        found = [steepest(self.tile_heights(place), self.cell) for place in tiles]
+        return np.array(found).reshape(self.tile_origin.shape[:2])
+
+    def tile_heights(self, start: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Heights [nx, ny] of the tile whose centre line starts at `start` [3] (a row of `tile_origin`), m."""
+        corner = (start[0] - self.origin[0], start[1] - 0.5 * self.tile_width - self.origin[1])
+        i, j = (round(edge / self.cell) for edge in corner)
+        nx, ny = (round(extent / self.cell) + 1 for extent in (self.tile_length, self.tile_width))
+        return self.heights[i : i + nx, j : j + ny]
 
 
 @dataclass(frozen=True)
 class TerrainGridCfg:
-    """What a terrain is built from.
+    """Configuration of a terrain for training: a grid of tiles by kind and level.
 
     Each tile is drawn on its own and keeps a seam of one cell to its neighbours, in which any step in height lies.
 
     Attributes:
-        columns: Share of the columns that each registered terrain gets. Shares need not sum to one; a share of 0 takes
-            a terrain away, any other is worth at least one column.
+        columns: Share of the columns for each registered terrain. Shares need not sum to one; a share of 0 removes a
+            terrain, any other is worth at least one column.
         levels: Number of difficulties; level i has difficulty i / (levels - 1), and a single level is the easiest.
         num_columns: Number of tiles side by side at each level.
         tile_length: Extent of a tile in the direction of travel, m.
-        tile_width: Extent of a tile across, m.
+        tile_width: Extent of a tile across the direction of travel, m.
         cell: Distance between neighbouring heights, m; tiles are a whole number of cells.
         border: Width of the flat ground around all tiles, m.
-        seed: Of the random numbers; a tile depends only on (seed, column, level).
+        seed: Seed of the random numbers; a tile depends only on (seed, column, level).
     """
 
     columns: Mapping[str, float]
@@ -77,7 +102,12 @@ class TerrainGridCfg:
     seed: int = 0
 
     def build(self) -> Terrain:
-        """Draws every tile; raises `UserError` where a value or a registered function is impossible."""
+        """Draws every tile.
+
+        Raises:
+            UserError: If a value is impossible, a terrain's function returns no ground, or a tile is too small for what
+                it has to hold.
+        """
         self._check()
         kinds = [registry.find(name) for name in self._column_names()]
         difficulties = [level / max(self.levels - 1, 1) for level in range(self.levels)]
@@ -92,7 +122,7 @@ class TerrainGridCfg:
     def _column_names(self) -> list[str]:
         for name, share in self.columns.items():
             if not registry.find(name).training:
-                raise UserError(f"terrain grid: '{name}' is what policies are measured on; they must not train on it.")
+                raise UserError(f"terrain grid: '{name}' is for evaluation only; policies must not train on it.")
             if not 0.0 <= share < math.inf:
                 raise UserError(f"terrain grid: the share of '{name}' is {share}; it must be 0 or more.")
         shares = {name: share for name, share in self.columns.items() if share > 0.0}
@@ -109,7 +139,7 @@ class TerrainGridCfg:
 
 
 class Tile(NamedTuple):
-    """A terrain at a grade in degrees."""
+    """Terrain at a grade in degrees."""
 
     kind: registry.Kind
     grade: float
@@ -117,10 +147,10 @@ class Tile(NamedTuple):
 
 @dataclass(frozen=True)
 class TileRowCfg:
-    """Tiles side by side, each asked for by itself: what a measurement walks on. Its terrains need not be registered.
+    """Configuration of a terrain for measurements: tiles side by side, each with its own grade.
 
     Attributes:
-        tiles: One for each column of the only level.
+        tiles: One tile for each column of the only level; its terrain need not be registered.
         tile_length, tile_width, cell, border, seed: As in `TerrainGridCfg`.
     """
 
@@ -132,7 +162,7 @@ class TileRowCfg:
     seed: int = 0
 
     def build(self) -> Terrain:
-        """Draws every tile; raises `UserError` where a value or a terrain's function is impossible."""
+        """Draws every tile; raises `UserError` as `TerrainGridCfg.build`."""
         if not self.tiles:
             raise UserError("terrain: a row has no tiles; give it at least one.")
         _check_extents(self)
@@ -150,7 +180,9 @@ def _check_extents(layout: TerrainGridCfg | TileRowCfg) -> None:
         if abs(extent / layout.cell - round(extent / layout.cell)) > 1e-6:
             raise UserError(f"terrain: {field}, {extent} m, must be a whole number of cells of {layout.cell} m.")
     if layout.tile_length <= SPAWN_X:
-        raise UserError(f"terrain: tile_length is {layout.tile_length} m; robots start at {SPAWN_X} m.")
+        raise UserError(
+            f"terrain: tile_length is {layout.tile_length} m; robots start at {SPAWN_X} m, so it must be longer."
+        )
     if not 0.0 <= layout.border < math.inf:
         raise UserError(f"terrain: border is {layout.border} m; it must be 0 or more.")
     if layout.seed < 0:
@@ -174,6 +206,8 @@ def _lay_out(layout: TerrainGridCfg | TileRowCfg, tiles: Sequence[Sequence[Tile]
         for column, tile in enumerate(row):
             rng = np.random.default_rng((layout.seed, column, level))
             drawn = tile.kind.heights(x, y, tile.grade, rng)
+            if not _keeps_slope(drawn, cell, tile.grade):
+                raise _slope_lost(layout, tile, (layout.seed, column, level), steepest(drawn, cell))
             i, j = rim + level * pitch_x, rim + column * pitch_y
             heights[i : i + pitch_x, j : j + pitch_y] = drawn
             tile_origin[level, column, 0] = origin[0] + i * cell
@@ -193,8 +227,57 @@ def _lay_out(layout: TerrainGridCfg | TileRowCfg, tiles: Sequence[Sequence[Tile]
     )
 
 
+def steepest(heights: NDArray[np.floating[Any]], cell: float) -> float:
+    """Largest inclination of a tile over a length of `STANCE`, degrees.
+
+    At each place it is that of the plane through the height there and those a stance further along x and along y, which
+    is exact for a plane of any heading and at least the inclination of every stretch of that length along x or y. The
+    length is rounded to whole cells, and is at least one.
+
+    Args:
+        heights: [nx, ny] m.
+        cell: Distance between neighbouring heights, m.
+    """
+    along_x, along_y = (_slopes(heights.astype(np.float64), cell, axis) for axis in (0, 1))
+    return math.degrees(math.atan(float(np.hypot(along_x, along_y).max())))
+
+
+def _slopes(heights: registry.Array, cell: float, axis: int) -> registry.Array:
+    """Rise per metre along an axis from every place over a stance, in the shape of `heights`.
+
+    Near the end of the tile it is that of the last stance on it; a tile shorter than a stance is one itself.
+    """
+    size = heights.shape[axis]
+    steps = min(max(1, round(STANCE / cell)), size - 1)
+    start = np.minimum(np.arange(size), size - 1 - steps)
+    rise: registry.Array = np.take(heights, start + steps, axis) - np.take(heights, start, axis)
+    return rise / (steps * cell)
+
+
+def _keeps_slope(heights: registry.Array, cell: float, grade: float) -> bool:
+    return math.tan(math.radians(steepest(heights, cell))) >= SLOPE_KEPT * math.tan(math.radians(abs(grade)))
+
+
+def _slope_lost(layout: TerrainGridCfg | TileRowCfg, tile: Tile, seed: tuple[int, ...], found: float) -> UserError:
+    """The error for a tile that is nowhere as steep as its grade, with a length that would do if there is one."""
+    said = (
+        f"terrain '{tile.kind.name}': a tile of {layout.tile_length:g} m at grade {tile.grade:.1f} degrees is nowhere "
+        f"steeper than {found:.1f} degrees"
+    )
+    for metres in range(math.ceil(layout.tile_length), math.ceil(LONGEST) + 1):
+        length = math.ceil(metres / layout.cell - 1e-9) * layout.cell
+        x, y = tile_points(length, layout.tile_width, layout.cell)
+        try:
+            longer = tile.kind.heights(x, y, tile.grade, np.random.default_rng(seed))
+        except UserError:
+            continue
+        if _keeps_slope(longer, layout.cell, tile.grade):
+            return UserError(f"{said}; tile_length {length:g} m would do.")
+    return UserError(f"{said}, and a longer one is not either; its function must use the grade.")
+
+
 def tile_points(length: float, width: float, cell: float) -> tuple[registry.Array, registry.Array]:
-    """Where a tile's heights are: x from 0 to length and y from -width/2 to width/2, each [nx, ny], m."""
+    """Places of a tile's heights: x from 0 to length and y from -width/2 to width/2, each [nx, ny], m."""
     x = np.arange(round(length / cell) + 1) * cell
     y = np.arange(round(width / cell) + 1) * cell - 0.5 * width
     grid_x, grid_y = np.meshgrid(x, y, indexing="ij")

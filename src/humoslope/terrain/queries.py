@@ -32,19 +32,14 @@ class TerrainQueries:
         """Height of the ground, m, shape [...], at world points xy [..., 2]."""
         return self._height(_axes_first(xy)).view(xy.shape[:-1])
 
-    def normal(self, xy: Tensor) -> Tensor:
-        """Unit normal of the triangle at world points xy [..., 2], shape [..., 3], world frame."""
-        _, plane = self._plane(_axes_first(xy))
-        return _upward(-plane[:, 1:].view(xy.shape), self.cell)
-
     def around(self, xy: Tensor, radius: float = 0.4) -> Tensor:
         """The points [..., 4, 2] whose heights `slope_normal` needs: `radius` m to each side of xy [..., 2]."""
         return xy.unsqueeze(-2) + radius * self._sides
 
     def slope_normal(self, heights: Tensor, radius: float = 0.4) -> Tensor:
-        """Unit normal of the slope as a robot's stance feels it, shape [..., 3], world frame.
+        """Unit normal of the slope at the scale of a step, shape [..., 3], world frame.
 
-        Taken from the heights [..., 4] `around` a point, which evens out smaller bumps.
+        It is taken from the heights [..., 4] at the points `around` a place, which evens out smaller bumps.
         """
         return _upward(heights[..., 0::2] - heights[..., 1::2], 2.0 * radius)
 
@@ -54,7 +49,7 @@ class TerrainQueries:
         return corner.addcmul(fraction[0], along_x).addcmul_(fraction[1], along_y)
 
     def _plane(self, xy: Tensor) -> tuple[Tensor, Tensor]:
-        """How far its cell is crossed at xy [2, M], shares [2, M], and the plane there [M, 3]."""
+        """Place within its cell of each point xy [2, M], as shares [2, M], and the plane there [M, 3]."""
         place = torch.add(self._shift, xy, alpha=1.0 / self.cell)
         # On the CPU several times as fast as `torch.clamp`, whose bounds would be tensors.
         place = torch.minimum(torch.maximum(place, self._low), self._high)
@@ -84,7 +79,7 @@ def _planes(heights: Tensor) -> Tensor:
 
 
 def _axes_first(xy: Tensor) -> Tensor:
-    """Points [..., 2] as [2, M]: what is done to each axis runs over memory without gaps."""
+    """Points [..., 2] as [2, M], so that operations on one axis run over contiguous memory."""
     return xy.reshape(-1, 2).t().contiguous()
 
 

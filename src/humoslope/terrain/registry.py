@@ -1,4 +1,4 @@
-"""Terrains by name: a function of place and grade, and the check that what it returns can be a ground."""
+"""Terrains by name: height functions of place and grade, and the check of what they return."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _REGISTRY: dict[str, Kind] = {}
 
 @dataclass(frozen=True)
 class Kind:
-    """A registered terrain.
+    """Registered terrain.
 
     Attributes:
-        name: What columns of a grid are called by.
-        grade: Range in degrees that difficulty 0..1 runs through.
+        name: Name in a `TerrainGridCfg` and on the command line.
+        grade: Grades at difficulty 0 and at difficulty 1, degrees.
         function: `(x, y, grade, rng) -> height`; x, y and height are [nx, ny] in metres, x from the start of the tile
             along the direction of travel, y from its centre line to the left, grade in degrees.
-        training: Whether training may use it; what policies are measured on must be new to them.
+        training: True if training may use it; the ground of an evaluation must be new to the policies.
     """
 
     name: str
@@ -41,8 +41,15 @@ class Kind:
         return low + difficulty * (high - low)
 
     def heights(self, x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
-        """Heights in metres at x, y [nx, ny]; raises `UserError` where the function returns anything else."""
-        result = self.function(x, y, grade, rng)
+        """Heights at x, y [nx, ny], m.
+
+        Raises:
+            UserError: If the function returns anything else, or finds the tile too small.
+        """
+        try:
+            result = self.function(x, y, grade, rng)
+        except UserError as error:
+            raise UserError(f"terrain '{self.name}': {error}") from None
         if not isinstance(result, np.ndarray):
             raise UserError(
                 f"terrain '{self.name}' returned a {type(result).__name__}; "
@@ -69,13 +76,15 @@ def terrain(name: str, grade: tuple[float, float], *, training: bool = True) -> 
     """Registers a height function under a name.
 
     Args:
-        name: What a `TerrainGridCfg` and the command line call it.
-        grade: Range in degrees that difficulty 0..1 runs through.
-        training: Whether a `TerrainGridCfg` may hold it.
+        name: Name in a `TerrainGridCfg` and on the command line.
+        grade: Grades at difficulty 0 and at difficulty 1, degrees.
+        training: True if a `TerrainGridCfg` may hold it.
+
     Returns:
-        A decorator that gives the function back unchanged.
+        Decorator that returns the function unchanged.
+
     Raises:
-        UserError: The name is taken, or the range is not two finite angles within 90 degrees, low first.
+        UserError: If the name is taken, or the grades are not two angles between -90 and 90 degrees, low first.
     """
     low, high = grade
     if not -90.0 < low <= high < 90.0:
@@ -95,7 +104,7 @@ def terrain(name: str, grade: tuple[float, float], *, training: bool = True) -> 
 
 
 def find(name: str) -> Kind:
-    """The terrain of that name; raises `UserError` with the nearest match if there is none."""
+    """Returns the terrain called `name`; raises `UserError` with the nearest match if there is none."""
     if name not in _REGISTRY:
         raise unknown("terrain", name, _REGISTRY)
     return _REGISTRY[name]
@@ -104,11 +113,6 @@ def find(name: str) -> Kind:
 def names() -> tuple[str, ...]:
     """All registered names, sorted."""
     return tuple(sorted(_REGISTRY))
-
-
-def training_names() -> tuple[str, ...]:
-    """The names of what training may use, sorted."""
-    return tuple(name for name in names() if _REGISTRY[name].training)
 
 
 def _where(function: HeightFunction) -> str:

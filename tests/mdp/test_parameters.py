@@ -1,0 +1,155 @@
+"""Every parameter of every registered task's terms is checked when the term is built, and refused in one sentence."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+
+import pytest
+
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.errors import UserError
+from humoslope.managers.terms import bind
+from humoslope.registry import all_tasks, build_task, load_content
+
+load_content()
+TASKS = list(all_tasks())
+NAN, INF = math.nan, math.inf
+MASKED = ("env", "mask")
+IMPLICIT = {"reward": ("env",), "termination": ("env",), "observation": ("env",), "event": MASKED, "curriculum": MASKED}
+UNLIMITED = {"height_scan.clip", "zmp.acc_limit", "zmp.largest_deviation"}
+"""Where infinity says that there is no limit."""
+SIGNED = {
+    *("com_height.offset_up", "com_height.offset_down", "knee_braking.flexion", "knee_braking.rise"),
+    *("swing_hip.beta0", "swing_hip.beta1", "mass.added", "root.along", "root.across", "root.yaw"),
+    *("joints.position", "joints.velocity"),
+    *("root_height.target", "foot_clearance.target", "root_too_low.height"),  # world heights of the literal baseline
+}
+"""Where a negative value has a meaning."""
+NAMES = {"joints", "hip", "knee", "ankle", "body", "cue", "event", "harness", "plane"}
+
+
+def terms_of(task):
+    """Kind, name and term of everything that a task configures."""
+    cfg = build_task(task).env
+    for group in dict(cfg.observations.items()).values():
+        yield from (("observation", name, term) for name, term in group.terms.items())
+    for kind, terms in (
+        ("reward", cfg.rewards),
+        ("termination", cfg.terminations),
+        ("event", cfg.events),
+        ("curriculum", cfg.curriculum),
+    ):
+        yield from ((kind, name, term) for name, term in terms.items())
+
+
+def parameters_of(kind, term):
+    """Name and value of each parameter that can be set, those at their default among them."""
+    implicit = ("env",) if inspect.isclass(term.func) else IMPLICIT[kind]
+    for name, parameter in inspect.signature(term.func).parameters.items():
+        if name not in implicit:
+            yield name, term.params.get(name, parameter.default)
+
+
+@pytest.fixture(scope="module")
+def env():
+    cfg = build_task("HumoSlope-Stage2-Unitree-G1").env
+    cfg.num_envs, cfg.sim.backend, cfg.sim.device = 2, "native", "cpu"
+    return ManagerBasedRlEnv(cfg)
+
+
+@pytest.fixture(scope="module")
+def refusal(env):
+    """refusal("reward", "alive", term, weight=nan): the sentence with which the term is refused, or None."""
+
+    def refuse(kind, name, term, **changes):
+        fields = {key: value for key, value in changes.items() if key in vars(term)}
+        params = {key: value for key, value in changes.items() if key not in fields}
+        changed = dataclasses.replace(term, **fields, params={**term.params, **params})
+        try:
+            bind(kind, name, changed, env, IMPLICIT[kind])
+        except UserError as error:
+            return str(error)
+        return None
+
+    return refuse
+
+
+def changed(value, number):
+    """The value with `number` in place of its number, or of each of its two in turn."""
+    return [(number, value[1]), (value[0], number)] if isinstance(value, tuple) else [number]
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_no_number_of_any_term_may_be_nan_or_infinite(refusal, task):
+    seen = 0
+    for kind, name, term in terms_of(task):
+        numbers = {key: value for key, value in parameters_of(kind, term) if isinstance(value, int | float | tuple)}
+        own = {key: value for key, value in vars(term).items() if isinstance(value, float | tuple)}
+        for key, value in {**numbers, **own}.items():
+            for bad in [v for number in (NAN, INF, -INF) for v in changed(value, number)]:
+                said = refusal(kind, name, term, **{key: bad})
+                if bad == INF and f"{name}.{key}" in UNLIMITED:
+                    assert said is None
+                    continue
+                assert said is not None, f"{kind} {name}: {key} = {bad}"
+                assert said.startswith(f"{kind} '{name}': {key} is "), said
+                assert said.endswith(".")
+                assert "\n" not in said
+                seen += 1
+    assert seen > 100
+
+
+def test_no_range_of_any_term_may_be_reversed(refusal):
+    seen = set()
+    for task in TASKS:
+        for kind, name, term in terms_of(task):
+            for key, value in parameters_of(kind, term):
+                if isinstance(value, tuple):
+                    said = refusal(kind, name, term, **{key: (0.6, 0.3)})
+                    assert "(lowest, highest)" in (said or ""), f"{name}.{key}"
+                    seen.add(f"{name}.{key}")
+    assert seen == {
+        *("mass.added", "gains.stiffness", "gains.damping", "friction.friction"),
+        *("root.along", "root.across", "root.yaw", "joints.position", "joints.velocity"),
+    }
+
+
+def test_only_numbers_with_a_sign_of_their_own_may_be_negative(refusal):
+    accepted = set()
+    for task in TASKS:
+        for kind, name, term in terms_of(task):
+            for key, value in parameters_of(kind, term):
+                if isinstance(value, int | float | tuple):
+                    bad = (-0.2, -0.1) if isinstance(value, tuple) else -0.1
+                    if refusal(kind, name, term, **{key: bad}) is None:
+                        accepted.add(f"{name}.{key}")
+    assert accepted == SIGNED
+
+
+def test_no_name_of_any_term_may_match_nothing(refusal):
+    seen = set()
+    for task in TASKS:
+        for kind, name, term in terms_of(task):
+            for key, value in parameters_of(kind, term):
+                if isinstance(value, str):
+                    for bad in ("no_such_thing", "("):
+                        said = refusal(kind, name, term, **{key: bad})
+                        assert said is not None, f"{name}.{key}"
+                        assert said.startswith(f"{kind} '{name}': ")
+                    seen.add(key)
+    assert seen == NAMES
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ({"speed": -1.0}, r"event 'push': speed is -1; it must be 0 or more\."),
+        ({"speed": NAN}, r"event 'push': speed is nan; it must be 0 or more\."),
+        ({"speed": "fast"}, r"event 'push': speed is 'fast'; it must be 0 or more\."),
+    ],
+)
+def test_an_event_that_first_happens_after_seconds_is_checked_when_the_environment_is_built(make_stage1, option, said):
+    with pytest.raises(UserError, match=said):
+        make_stage1(2, lambda cfg: setattr(cfg.events.push, "params", option))
