@@ -32,8 +32,8 @@ def thread_advice() -> str | None:
     if threads <= idle:
         return None
     return (
-        f"The machine is busy (load {load:.1f} on {cores} cores) and torch uses {threads} threads, which would wait for "
-        f"each other; training is probably faster with OMP_NUM_THREADS={idle}."
+        f"The machine is busy (load {load:.1f} on {cores} cores) and torch uses {threads} threads, which would wait "
+        f"for each other; training is probably faster with OMP_NUM_THREADS={idle}."
     )
 
 

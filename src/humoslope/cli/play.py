@@ -21,8 +21,8 @@ class Options:
     """Lets an exported policy walk in plain MuJoCo, in a window or without one, and says how it went.
 
     Attributes:
-        folder: What `humoslope export` wrote.
-        course: What is walked.
+        folder: Path of a folder of `humoslope export`.
+        course: Settings of the walk.
         headless: Walk without a window, as fast as the machine can.
     """
 

@@ -1,4 +1,4 @@
-"""`humoslope ramps CHECKPOINT`: how a policy does on flat ground and on ramps."""
+"""`humoslope ramps CHECKPOINT`: falls and speed of a policy on flat ground and on ramps."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Options:
     """Lets a trained policy walk on flat ground and on ramps, without noise, pushes or harness, and counts its falls.
 
     Attributes:
-        checkpoint: A checkpoint, or a run folder for its newest one.
-        protocol: What is measured.
-        out: Where the figures are written as JSON; by default beside the checkpoint.
+        checkpoint: Path of a checkpoint; a run folder stands for its newest one.
+        protocol: Settings of the measurement.
+        out: Path of the JSON file with the results; by default beside the checkpoint.
     """
 
     checkpoint: tyro.conf.Positional[Path]

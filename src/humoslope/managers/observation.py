@@ -48,7 +48,7 @@ class ObservationGroupCfg(StrictCfg):
         terms: Terms in the order of their columns.
         history: Number of control steps that are observed. They are stacked along dimension 1; the frames of each term
             stand together, the oldest first.
-        enable_corruption: Whether noise is added.
+        enable_corruption: Add the noise of the terms.
         noise_source: Source of the noise: function of the environment and the frame [N, ...] that returns numbers in
             [0, 1) of the same shape.
     """
