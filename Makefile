@@ -1,4 +1,5 @@
-# `make` lists what there is. Further options of a verb go into ARGS, such as `make train-stage1 ARGS="--env.seed 2"`.
+# `make` lists the verbs. Options go into ARGS, such as `make train-stage1 ARGS="--env.seed 2"`; `.venv/bin/humoslope VERB`
+# takes them as they are, without the quotes.
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -8,7 +9,7 @@ need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  export play terrain list bench reproduce recipe test lint types check format clean
+  export play terrain bench reproduce recipe test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -73,9 +74,6 @@ meshes: $(STAMP) ## Fetch the robot's real meshes, for ARGS=--meshes of replay a
 
 terrain: $(STAMP) ## Draw the terrain NAME to a PNG
 	$(BIN)/humoslope terrain $(call need,NAME,ramp-up) $(ARGS)
-
-list: $(STAMP) ## List the registered tasks and terrains
-	@$(BIN)/humoslope list $(ARGS)
 
 bench: $(STAMP) ## Measure speed and memory of Stage I; ARGS="--checkpoint ..." with robots that walk
 	$(BIN)/humoslope bench HumoSlope-Stage1-Unitree-G1 $(ARGS)

@@ -17,8 +17,10 @@ finer-physics := --env.sim.timestep 0.005 --env.sim.decimation 4
 faster-withdrawal := --env.curriculum.harness.params.rate 0.0166
 no-harness := --env.events.harness.params.scale 0
 no-symmetry := --agent.no-symmetry
-half-rewards = $(shell $(BIN)/python -c "from tasks.stage1 import stage1; \
-  print(*(f'--env.rewards.{name}.weight {term.weight / 2}' for name, term in stage1().env.rewards.items()))")
+# Without the options this run would be the plain recipe under another name, so a failure must end it.
+half-rewards = $(or $(shell $(BIN)/python -c "from tasks.stage1 import stage1; \
+  print(*(f'--env.rewards.{name}.weight {term.weight / 2}' for name, term in stage1().env.rewards.items()))"),$(error \
+  half-rewards: $(BIN)/python cannot list the rewards of Stage I; see the message above))
 
 LAST := model_$(shell expr $(ITERATIONS) - 1).pt
 DONE := $(RUNS:%=$(OUT)/%/$(LAST))

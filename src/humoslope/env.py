@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 import numpy as np
 import torch
 from rich.console import Console
-from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.cpu import on_one_thread
@@ -46,6 +45,9 @@ from humoslope.sim.divergence import DivergenceRecorder
 from humoslope.strict import StrictCfg
 from humoslope.terrain.grid import TerrainGridCfg, TileRowCfg
 from humoslope.terrain.queries import TerrainQueries
+
+if TYPE_CHECKING:
+    from tensordict import TensorDict
 
 
 @dataclass
@@ -288,6 +290,8 @@ class ManagerBasedRlEnv:
             name: torch.where(ended.view(-1, *[1] * len(group.shape)), terminal[name], self._obs[name])
             for name, group in self.observations.groups.items()
         }
+        from tensordict import TensorDict
+
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
     def non_finite(self) -> list[str]:

@@ -1,4 +1,4 @@
-"""The registered tasks. A task is a function that builds its whole configuration when it is asked for."""
+"""Registry of tasks. A task is a function that builds its whole configuration each time it is called."""
 
 from __future__ import annotations
 
@@ -8,21 +8,24 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import humoslope
-from humoslope.env import EnvCfg
 from humoslope.errors import UserError, unknown
-from humoslope.learning.config import AgentCfg
 from humoslope.strict import StrictCfg
+
+if TYPE_CHECKING:
+    from humoslope.env import EnvCfg
+    from humoslope.learning.config import AgentCfg
 
 
 @dataclass
 class WarmStartCfg(StrictCfg):
-    """The task that another one goes on from: with its actor, and with what was measured of it.
+    """Earlier task whose actor, and whose swing calibration, a task starts with.
 
     Attributes:
         task: Name of the earlier task.
-        shipped: A checkpoint of it that comes with the checkout, for who has trained none; "" for none.
+        shipped: Path of a checkpoint of that task in the checkout, used if the user has trained none; "" for none.
         calibrated: Name of the reward that the swing calibration of the earlier checkpoint sets; "" for none.
     """
 
@@ -33,7 +36,13 @@ class WarmStartCfg(StrictCfg):
 
 @dataclass
 class TaskCfg(StrictCfg):
-    """A task: the environment, how it is learnt, and what it starts from (None: from nothing)."""
+    """Whole configuration of a task.
+
+    Attributes:
+        env: The environment.
+        agent: The learner.
+        start: Earlier task that a run starts from; None to start from nothing.
+    """
 
     env: EnvCfg
     agent: AgentCfg

@@ -230,7 +230,7 @@ def test_help_lists_every_task_and_every_field(capsys):
         main(["train", TASK, "--help"])
     assert stop.value.code == 0
     said = capsys.readouterr().out
-    assert "A run folder, or" in said
+    assert "Path of a run folder" in said
     assert "Speed error at which the reward has fallen to 1/e" in said.replace("│", " ").replace("\n", " ")
     for option in ("--resume", "--env.rewards.alive.weight", "--agent.learning-rate", "--env.scene.terrain.levels"):
         assert option in said

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -73,10 +74,26 @@ def test_mistakes_are_said_in_one_sentence(mistake: Callable[..., str], runs: li
     assert "must end in .md or .csv" in mistake("compare", *runs, "--out", str(tmp_path / "a.png"))
 
 
-def test_the_recipe_is_compared_by_options_that_exist(tmp_path: Path) -> None:
+def recipe(out: Path, programs: Path) -> subprocess.CompletedProcess[str]:
+    """What `make recipe` would do with the `python` and `humoslope` in the folder `programs`."""
     clean = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
-    words = ["make", "-n", "-f", "experiments/recipe.mk", f"OUT={tmp_path}/runs", f"TABLE={tmp_path}/table.md"]
-    printed = subprocess.run(words, cwd=ROOT, env=clean, capture_output=True, text=True, check=True).stdout
+    clean["PYTHONPATH"] = os.pathsep.join((str(ROOT / "src"), str(ROOT)))
+    words = ["make", "-n", "-f", "experiments/recipe.mk", f"BIN={programs}", f"OUT={out}/runs", f"TABLE={out}/table.md"]
+    return subprocess.run(words, cwd=ROOT, env=clean, capture_output=True, text=True, check=False)
+
+
+def test_the_recipe_ends_if_the_rewards_cannot_be_halved(tmp_path: Path) -> None:
+    done = recipe(tmp_path, tmp_path / "nowhere")
+    assert done.returncode != 0
+    assert "half-rewards" in done.stderr
+    assert "cannot list the rewards" in done.stderr
+    assert "half-rewards" not in done.stdout
+
+
+def test_the_recipe_is_compared_by_options_that_exist(tmp_path: Path) -> None:
+    done = recipe(tmp_path, Path(sys.executable).parent)
+    assert done.returncode == 0, done.stderr
+    printed = done.stdout
     trainings = [line.split()[1:] for line in printed.splitlines() if "humoslope train" in line]
     assert len(trainings) == 10
     assert len({" ".join(words[words.index("--env.num-envs") :]) for words in trainings}) == 10

@@ -1,4 +1,4 @@
-"""`humoslope bench TASK`: how fast a task runs on this machine, and what it costs over the bare physics."""
+"""`humoslope bench TASK`: speed of a task on this machine, and its overhead over the bare physics."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 worl
 @dataclasses.dataclass(frozen=True)
 class Options:
     """Measures bare physics, env.step, the terrain descriptor and the whole PPO loop in turn. All speeds are control
-    steps of all worlds per second; the bare physics is given the states and controls that env.step went through.
+    steps of all envs per second; the bare physics is given the states and controls that env.step went through.
 
     Attributes:
-        sizes: Numbers of worlds. Each is measured in a process of its own, so that its peak memory is its own.
-        rounds: How often each of them is measured; medians are shown.
-        preset: Scale of everything but the number of worlds; "auto" for what the machine has.
-        checkpoint: A trained actor that drives the robots, so that they touch the ground as in walking. Without one,
-            actions are random.
-        out: Where the figures are written as JSON; by default nowhere.
+        sizes: Numbers of envs. Each is measured in a process of its own, so that its peak memory is its own.
+        rounds: Number of measurements of each; medians are shown.
+        preset: Scale of everything but the number of envs; "auto" for the one that fits the machine.
+        checkpoint: Path of a checkpoint whose actor drives the robots, so that they touch the ground as in walking. By
+            default actions are random.
+        out: Path of a JSON file for the results; by default none is written.
     """
 
     sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)

@@ -31,10 +31,11 @@ class Options:
     """Lets a trained policy walk up and down ramps and fits the hip flexion of its swing leg against the slope.
 
     Attributes:
-        checkpoint: A checkpoint, or a run folder for its newest one.
-        protocol: What is walked, and which instants count.
-        fit: How samples become coefficients.
-        out: Where the calibration is written as JSON, with a picture beside it; by default beside the checkpoint.
+        checkpoint: Path of a checkpoint; a run folder stands for its newest one.
+        protocol: Settings of the walks, and of the instants that count.
+        fit: Settings of the fit.
+        out: Path of the JSON file with the calibration, by default beside the checkpoint; a picture is written beside
+            it.
     """
 
     checkpoint: tyro.conf.Positional[Path]

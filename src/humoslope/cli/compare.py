@@ -19,9 +19,9 @@ class Options:
     """Prints a table of training runs, with the options in which they differ.
 
     Attributes:
-        runs: Run folders.
-        at: Environment steps after which they are compared; by default as many as the shortest run has.
-        out: Also write the table there, as Markdown (.md) or CSV (.csv).
+        runs: Paths of run folders.
+        at: Number of environment steps after which they are compared; 0 for as many as the shortest run has.
+        out: Path of a file for the table too, as Markdown (.md) or CSV (.csv).
     """
 
     runs: tyro.conf.Positional[tuple[Path, ...]]

@@ -1,4 +1,4 @@
-"""`humoslope curve RUN`: how a training run went, as a picture."""
+"""`humoslope curve RUN`: draws the learning curve of a training run."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def curve(run_dir: tyro.conf.Positional[Path], out: Path | None = None, table: P
     """Draws the learning curve of a run: reward, episode length, falls, harness, terrain level and speed tracking.
 
     Args:
-        run_dir: Folder of the run; it may have been resumed any number of times.
-        out: Where the picture is written; by default curve.png in the run folder.
-        table: A CSV file in which what is drawn is kept. If it is there, the run's curves go on from it, so that a run
-            can be continued where its event files are not.
+        run_dir: Path of the run folder; the run may have been resumed any number of times.
+        out: Path of the picture; by default curve.png in the run folder.
+        table: Path of a CSV file that keeps the drawn curves. If it exists, the run's curves continue those in it, so
+            that a run can be continued on a machine without its event files.
     """
     path = out or run_dir / "curve.png"
     path = path if path.suffix else path.with_suffix(".png")

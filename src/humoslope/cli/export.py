@@ -17,7 +17,7 @@ from humoslope.files import check_place
 from humoslope.learning.policy import load_actor, read_spec
 
 WALK = RampProtocol(grades=(0.0, 20.0, -20.0), starts=2, seconds=2.0)
-"""What is walked to compare the network with the actor on what it sees there."""
+"""Walks on whose observations the exported network is compared with the actor."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Options:
     and a deploy.yaml for Unitree RL Lab's deployment.
 
     Attributes:
-        checkpoint: A checkpoint, or a run folder for its newest one.
-        out: Folder to write into; by default beside the checkpoint.
+        checkpoint: Path of a checkpoint; a run folder stands for its newest one.
+        out: Path of the folder to write into; by default beside the checkpoint.
     """
 
     checkpoint: tyro.conf.Positional[Path]

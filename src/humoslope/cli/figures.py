@@ -1,4 +1,4 @@
-"""`humoslope figures RESULT ...`: figures of what `humoslope evaluate` has measured."""
+"""`humoslope figures RESULT ...`: figures of the results of `humoslope evaluate`."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Options:
     far the trials came, and hip torque and knee flexion along the track.
 
     Attributes:
-        results: JSON files that `humoslope evaluate` wrote, as FILE or NAME=FILE, or folders of them.
-        out: Folder for the pictures.
-        grade: Of the figure along the track, degrees.
+        results: JSON files of `humoslope evaluate`, as FILE or NAME=FILE, or folders of them.
+        out: Path of the folder for the pictures.
+        grade: Grade of the figure along the track, degrees.
     """
 
     results: tyro.conf.Positional[tuple[str, ...]]

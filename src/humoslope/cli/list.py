@@ -1,4 +1,4 @@
-"""`humoslope list`: what there is to train, and what to train it on."""
+"""`humoslope list`: the registered tasks and terrains."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def run(arguments: list[str]) -> None:
 def list_content() -> None:
     """Lists the registered tasks and terrains."""
     load_content()
-    tasks = Table("task", "what it is", box=SIMPLE_HEAD, title="Tasks: humoslope train TASK", title_justify="left")
+    tasks = Table("task", "description", box=SIMPLE_HEAD, title="Tasks: humoslope train TASK", title_justify="left")
     tasks.columns[0].no_wrap = True  # a name is to be copied, so none of it may be cut off
     for name, line in all_tasks().items():
         tasks.add_row(name, line)
     terrains = Table(
         "terrain",
         "grade °",
-        "what it is",
+        "description",
         box=SIMPLE_HEAD,
         title="Terrains: humoslope terrain NAME",
         title_justify="left",

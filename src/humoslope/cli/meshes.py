@@ -13,7 +13,7 @@ def meshes(robot: str | None = None, /) -> None:
     """Fetches the published meshes of a robot into .meshes; by default it is drawn with plain shapes.
 
     Args:
-        robot: Its name; not needed where there is only one robot with meshes.
+        robot: Name of the robot; not needed where there is only one robot with meshes.
     """
     robots = [build_task(task).env.scene.robot for task in all_tasks()]
     sources = {known.name: known.meshes for known in robots if known.meshes is not None}

@@ -18,11 +18,11 @@ from humoslope.registry import TaskCfg, build_task
 
 
 class HasPreset(Protocol):
-    """A frozen dataclass of options, among them the scale."""
+    """Frozen dataclass of options, among them the scale."""
 
     @property
     def preset(self) -> Preset:
-        """Scale: "cpu", "gpu", or "auto" for what the machine has."""
+        """Scale of the training; "auto" for the one that fits the machine."""
 
 
 A = TypeVar("A", bound=HasPreset)
@@ -76,7 +76,7 @@ def parse(own: A, task: str, options: list[str], verb: str = "train", base: Task
 
 
 def early(own: A, task: str, options: list[str], verb: str = "train") -> A:
-    """The verb's own options, which have to be known before the task's can be read."""
+    """Options of the verb itself, which are needed before those of the task can be listed."""
     quiet = [option for option in options if option not in ("-h", "--help")]
     args, _ = tyro.cli(type(own), args=quiet, prog=f"humoslope {verb} {task}", return_unknown_args=True)
     return args

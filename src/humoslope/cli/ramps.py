@@ -1,4 +1,4 @@
-"""`humoslope ramps CHECKPOINT`: how a policy does on flat ground and on ramps."""
+"""`humoslope ramps CHECKPOINT`: falls and speed of a policy on flat ground and on ramps."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Options:
     With --speed 0 it is commanded to stand there, and its creep and its steps are measured.
 
     Attributes:
-        checkpoint: A checkpoint, or a run folder for its newest one.
-        protocol: What is measured.
-        out: Where the figures are written as JSON; by default beside the checkpoint.
+        checkpoint: Path of a checkpoint; a run folder stands for its newest one.
+        protocol: Settings of the measurement.
+        out: Path of the JSON file with the results; by default beside the checkpoint.
     """
 
     checkpoint: tyro.conf.Positional[Path]

@@ -22,10 +22,10 @@ class Options:
     """Lets a trained policy walk once, and writes the walk to a file that `replay` and `video` show.
 
     Attributes:
-        checkpoint: A checkpoint, or a run folder for its newest one.
-        protocol: What is recorded.
-        out: Where the rollout is written; by default beside the checkpoint.
-        label: What viewers call it; by default the checkpoint's name.
+        checkpoint: Path of a checkpoint; a run folder stands for its newest one.
+        protocol: Settings of the walk.
+        out: Path of the rollout; by default beside the checkpoint.
+        label: Name of the walk in viewers; by default the checkpoint's name.
     """
 
     checkpoint: tyro.conf.Positional[Path]

@@ -22,13 +22,14 @@ class Options:
     """Shows a recorded walk in rerun, alone or beside another one.
 
     Attributes:
-        rollout: A file that `humoslope record` wrote.
-        other: Another one, shown beside it on the same timeline.
-        save: Writes the rerun recording there (such as walk.rrd, which any rerun viewer opens) and shows nothing.
-        web: Shows it in a browser on this machine instead of a window.
-        web_port: Of the page.
-        port: Of the recording that the page fetches.
-        meshes: Draws the robot with the meshes that `humoslope meshes` has fetched.
+        rollout: Path of a rollout, a file of `humoslope record`.
+        other: Path of a second rollout, shown beside the first on the same timeline.
+        save: Path of a rerun recording to write, such as walk.rrd, instead of showing anything; any rerun viewer opens
+            it.
+        web: Show it in a browser on this machine instead of a window.
+        web_port: TCP port of the web page.
+        port: TCP port of the recording, which the web page fetches.
+        meshes: Draw the robot with the meshes that `humoslope meshes` has fetched.
     """
 
     rollout: tyro.conf.Positional[Path]

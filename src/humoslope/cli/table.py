@@ -1,4 +1,4 @@
-"""`humoslope table WHICH RESULT ...`: the paper's tables, of what `humoslope evaluate` has measured."""
+"""`humoslope table WHICH RESULT ...`: the paper's tables with the results of `humoslope evaluate`."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ class Options:
     """Prints a table of several methods, with the paper's row below each of ours.
 
     Attributes:
-        which: "1": success, distance and time at each grade; "2": efficiency, stability, posture and load at one;
-            "diagnostics": posture and load uphill, on the flat and downhill; "cells": all by grade and friction.
-        results: JSON files that `humoslope evaluate` wrote, as FILE or NAME=FILE, or folders of them. A row of the
-            paper goes with a method by its task, or by the name given here. That of a sweep fills in the maximal grade.
-        grade: Of table 2 and of the diagnostics, degrees; the paper's is 20.
-        out: Also write it there, as .md, .csv and .json; a name without ending.
+        which: Table to print. "1": success, distance and time at each grade; "2": efficiency, stability, posture and
+            load at one grade; "diagnostics": posture and load uphill, on the flat and downhill; "cells": every metric
+            by grade and friction.
+        results: JSON files of `humoslope evaluate`, as FILE or NAME=FILE, or folders of them. A row of the paper is put
+            below a method by its task, or by the name given here. The file of a sweep adds the maximal grade.
+        grade: Grade of table 2 and of the diagnostics, degrees; the paper's is 20.
+        out: Path without ending of files for the table too, as .md, .csv and .json.
     """
 
     which: tyro.conf.Positional[Literal["1", "2", "diagnostics", "cells"]]

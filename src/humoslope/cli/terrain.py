@@ -1,4 +1,4 @@
-"""`humoslope terrain NAME`: what a terrain looks like."""
+"""`humoslope terrain NAME`: draws a terrain."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ def terrain(name: str, /, out: Path | None = None, seed: int = 0) -> None:
     """Draws a registered terrain at several grades, from the side and from above, to a PNG.
 
     Args:
-        name: Of the terrain, such as ramp-up.
-        out: Where to write; by default NAME.png in the current folder.
-        seed: Of the random bumps.
+        name: Name of the terrain, such as ramp-up.
+        out: Path of the PNG; by default NAME.png in the current folder.
+        seed: Seed of the random bumps.
     """
     path = draw.run(name, out if out is not None else Path(f"{name}.png"), seed=seed)
     print(f"wrote {path}")

@@ -34,13 +34,14 @@ class TrainArgs:
     """Where and how to train.
 
     Attributes:
-        preset: Scale: "cpu", "gpu", or "auto" for what the machine has.
-        resume: A run folder, or "latest": continue its last checkpoint, with the options it was started with.
-        run_dir: Folder of a new run. By default logs/TASK/TIME.
-        init: A checkpoint, or a run folder for its newest one, to take the actor from; training starts at iteration 0.
-            A task that goes on from another one finds it by itself.
-        calibration: A swing calibration, or "prior" for the values in the task's configuration. By default the one
-            beside the checkpoint that is started from.
+        preset: Scale of the training; "auto" for the one that fits the machine.
+        resume: Path of a run folder whose last checkpoint is continued with the options that it was started with;
+            "latest" for the newest run of the task.
+        run_dir: Path of the folder of a new run; by default logs/TASK/TIME.
+        init: Path of a checkpoint, or of a run folder for its newest one, whose actor the new run starts with. A task
+            that continues another one finds it by itself.
+        calibration: Path of a swing calibration, or "prior" for the values in the task's configuration; by default the
+            calibration beside the checkpoint that the run starts from.
     """
 
     preset: Preset = "auto"

@@ -21,10 +21,10 @@ class Options:
     """Draws a recorded walk to an mp4 and to a PNG contact sheet. Needs no display, GPU or graphics driver.
 
     Attributes:
-        rollout: A file that `humoslope record` wrote.
-        video: What is filmed.
-        out: Where the video is written; by default beside the rollout. The contact sheet has the same name with .png.
-        sheet_only: Draws the contact sheet alone.
+        rollout: Path of a rollout, a file of `humoslope record`.
+        video: Settings of the video.
+        out: Path of the mp4; by default beside the rollout. The contact sheet has the same name with .png.
+        sheet_only: Draw the contact sheet alone.
     """
 
     rollout: tyro.conf.Positional[Path]

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from rich.table import Table
-from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.errors import UserError
@@ -18,6 +17,8 @@ from humoslope.managers.terms import StatefulTerm, StatefulTerms, TermCfg, Terms
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
+    from tensordict import TensorDict
+
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
@@ -47,7 +48,7 @@ class ObservationGroupCfg(StrictCfg):
         terms: Terms in the order of their columns.
         history: Number of control steps that are observed. They are stacked along dimension 1; the frames of each term
             stand together, the oldest first.
-        enable_corruption: Whether noise is added.
+        enable_corruption: Add the noise of the terms.
         noise_source: Source of the noise: function of the environment and the frame [N, ...] that returns numbers in
             [0, 1) of the same shape.
     """
@@ -82,6 +83,8 @@ class ObservationManager:
         return self._dict({name: group.terminal() for name, group in self.groups.items()})
 
     def _dict(self, values: dict[str, Tensor]) -> TensorDict:
+        from tensordict import TensorDict  # takes longer to import than torch itself, and every task imports this file
+
         return TensorDict(values, batch_size=[self._num_envs], device=self._device)
 
     def reset(self, mask: Tensor) -> None:

@@ -21,7 +21,7 @@ class TerminationTermCfg(TermCfg):
     """Termination `func(env, **params) -> [N]` (bool).
 
     Attributes:
-        time_out: Whether the episode is cut short rather than failed, so that a learner bootstraps the value of its
+        time_out: Cut the episode short instead of failing it, so that a learner bootstraps the value of its
             last state.
     """
 

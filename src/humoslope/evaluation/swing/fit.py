@@ -27,8 +27,8 @@ class Fit:
     """How samples become coefficients.
 
     Attributes:
-        percentile: Of hip flexion within a bin. The paper says "upper" and no number; 90 is ours: a peak is wanted, and
-            a maximum would be an outlier.
+        percentile: Percentile of hip flexion that stands for a bin. The paper says "upper" and no number; 90 is ours: a
+            peak is wanted, and a maximum would be an outlier.
         bin_width: Degrees of slope; bins are centred on its multiples. Ours.
         least_samples: A bin with fewer is left out. 500 are some eighty swings. Ours.
         theta_clip: Degrees from which on the reference stays level; not fitted. 30: the steepest grade of the paper's

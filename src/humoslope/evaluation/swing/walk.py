@@ -34,7 +34,7 @@ class SwingProtocol(RampProtocol):
     """What is walked, and which instants count as swing.
 
     Attributes:
-        grades: Of the ramps in degrees; negative goes down. Every 2.5, so that there is one for each bin of the fit.
+        grades: Grades of the ramps, degrees; negative goes down. Every 2.5, one for each bin of the fit.
         starts: Trials on each ramp.
         seconds: Length of a trial, s; the first 4 or 5 pass before the robot is well on its ramp.
         hip: Regular expression for the whole names of the joints that flex the hips, one on the left and one on the

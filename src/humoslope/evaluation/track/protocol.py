@@ -21,28 +21,28 @@ class HeldOutProtocol:
     where heading + 0.6 y is beyond half a turn: at the edge, facing out.)
 
     Attributes:
-        course: What is walked on.
+        course: Name of the course.
         grades: Nominal grades, degrees.
         tiers: Friction of the feet on the ground is tan(grade) plus one of these.
-        trials: In each cell; ours: rates with one decimal as the paper's need at least this many.
+        trials: Number of trials in each cell; ours: rates with one decimal as the paper's need at least this many.
         speed: Commanded forward speed, m/s.
         success_place: A trial that gets here has succeeded, m from the start of the course; 90 % of it.
         timeout_s: A trial that lasts this long has failed, s; twice the time that the whole course takes at that speed.
-        heading_gain: Ours, 1/s.
-        lateral_gain: Ours, rad/m.
-        yaw_rate_limit: Ours, rad/s; within what policies of Unitree RL Lab have seen.
+        heading_gain: Gain from heading to yaw rate, 1/s (ours).
+        lateral_gain: Gain from the offset to the centre line to the wanted heading, rad/m (ours).
+        yaw_rate_limit: Largest yaw rate, rad/s (ours); within what policies of Unitree RL Lab have seen.
         fall_force: Ground force on anything but feet and shins that counts as contact, N (ours).
         fall_contact_s: Such contact for this long is a fall, s (ours).
         fall_tilt: A root that leans further from the vertical than this is a fall, degrees (ours).
         fall_com_height: A centre of mass lower over the ground than this is a fall, m (ours).
-        start_place: Where the root starts, m from the start of the course (ours).
+        start_place: Place of the root at the start, m from the start of the course (ours).
         start_along: Half-width of the uniform offset from it, m (ours).
         start_yaw: Half-width of the uniform heading, degrees (ours).
         start_joints: Half-width of the uniform offset of every joint from the default pose, rad (ours).
-        noise: Whether the actor's observations carry the noise that its task was trained with (ours).
+        noise: Add the noise to the actor's observations that its task was trained with (ours).
         timestep: Physics step, s; the friction cone is elliptic (ours: with a pyramidal one, a foot on 30 degrees slips
             below a friction between 0.58 and 0.81, by its direction).
-        seed: Of starts and noise.
+        seed: Seed of starts and noise.
     """
 
     course: str = "held-out-track"

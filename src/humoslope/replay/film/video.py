@@ -37,9 +37,10 @@ class VideoCfg:
         start: First moment, s.
         seconds: Length, s; by default to the end.
         fps: Pictures per second.
-        width, height: Pixels; even numbers, as video codecs want them.
-        workers: Processes that draw; 0 for one on each core.
-        meshes: Draws the robot with the meshes that `humoslope meshes` has fetched.
+        width: Width of a picture in pixels; an even number, as video codecs require.
+        height: Height of a picture in pixels; an even number.
+        workers: Number of processes that draw; 0 for one on each core.
+        meshes: Draw the robot with the meshes that `humoslope meshes` has fetched.
     """
 
     start: float = 0.0
