@@ -1,4 +1,4 @@
-"""Which fields of the model and of its data a simulation gives access to, alike for every backend."""
+"""Fields of the model and of its data that a simulation gives access to, and limits common to every backend."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from torch import Tensor
 from humoslope.errors import UserError, unknown
 
 STATE_FIELDS = ("qpos", "qvel", "ctrl", "xfrc_applied", "time")
-"""What the caller may write: fields that are part of the state or drive it."""
+"""Fields the caller may write: part of the state, or driving it."""
+
+FASTEST = 1e3
+"""Largest velocity of a world that counts as whole, rad/s or m/s. Motors reach some 40 rad/s; a physics that explodes
+passes this within a step or two, long before its numbers stop being finite."""
 
 
 def check_state(field: str) -> None:
