@@ -43,28 +43,6 @@ def find_device(backend: str, device: str) -> torch.device:
     return where
 
 
-def rank_device(device: str, backend: str, local_rank: int) -> str:
-    """The device for one of several training processes on a machine: a card of its own where there are cards.
-
-    Args:
-        device: As configured; only "auto" is changed.
-        backend: As configured; the native backend stays on the CPU.
-        local_rank: Number of the process on this machine (`LOCAL_RANK`).
-
-    Raises:
-        UserError: If the machine has fewer cards than processes.
-    """
-    if device != "auto" or backend == "native" or not torch.cuda.is_available():
-        return device
-    count = torch.cuda.device_count()
-    if local_rank >= count:
-        raise UserError(
-            f"process {local_rank} finds no CUDA device left, this machine has {count}; "
-            f"start at most {count} processes here (--nproc_per_node={count})."
-        )
-    return f"cuda:{local_rank}"
-
-
 def require_warp(where: torch.device) -> None:
     """Raises UserError unless MuJoCo-Warp sees the CUDA device that torch sees.
 

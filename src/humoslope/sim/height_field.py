@@ -1,16 +1,16 @@
 """Collisions with a height field in MuJoCo-Warp, made accurate anywhere on the field.
 
-MuJoCo-Warp 3.14 collides a geom with the cells of a height field in the field's frame, in float32, and each cell reaches
-down to the field's base. C MuJoCo does the same in float64. In float32 two things go wrong:
+MuJoCo-Warp 3.14 collides a geom with the cells of a height field in the field's frame, and each cell reaches down to
+the field's base. C MuJoCo does the same in float64; MuJoCo-Warp computes in float32, where two things go wrong:
 
 - Far from the field's centre, rounding upsets EPA once a sphere's centre or a capsule's axis is in the ground. 20 m out
   half of such contacts are metres deep, with any normal; 50 m out they throw a robot at 100 m/s.
 - A cell of 0.1 m by 0.1 m by several metres is so thin that GJK takes a touch for an overlap: 3.5 % of the contacts of
   a sphere 1 mm in a ramp of 30 degrees were more than 1 mm too deep, some pointing downhill.
 
-The correction moves the frame to the geom's own x and y and moves the contact back afterwards, and ends each cell half a
-diagonal below both the geom and the cell's surface, from where the way out of a cell is never through its bottom. The
-errors on ramps vanish, and no error grows with the distance. It costs nothing.
+The correction moves the frame to the geom's own x and y and moves the contact back afterwards, and ends each cell half
+a diagonal below both the geom and the cell's surface, so deep that the shortest way out of a cell is never through its
+bottom. The errors on ramps vanish, and no error grows with the distance. It costs nothing.
 
 The alternatives were worse: one field per tile multiplies the broadphase pairs by seventy; one field per world
 (`geom_dataid`) leaves no ground beyond the world's own tile and gives every lookup its own frame; more CCD iterations,
@@ -52,8 +52,8 @@ _REPLACEMENTS = {
     "y = dy * float(r + dr[init_i]) - size[1]\n": "y = dy * float(r + dr[init_i]) - size[1] - near[1]\n",
     "y = dy * float(r + dr[i]) - size[1]\n": "y = dy * float(r + dr[i]) - size[1] - near[1]\n",
     "geom1.polyvert = prism\n": (
-        "base = wp.min(zmin, wp.min(prism[3, 2], wp.min(prism[4, 2], prism[5, 2]))) - 0.5 * wp.sqrt(dx * dx + dy * dy)\n"
-        "          base = wp.max(-size[3], base)\n"
+        "base = wp.min(zmin, wp.min(prism[3, 2], wp.min(prism[4, 2], prism[5, 2])))\n"
+        "          base = wp.max(-size[3], base - 0.5 * wp.sqrt(dx * dx + dy * dy))\n"
         "          prism[0, 2] = base\n"
         "          prism[1, 2] = base\n"
         "          prism[2, 2] = base\n"
