@@ -114,7 +114,7 @@ def run(simulation: WarpSimulation) -> torch.Tensor:
 
 def test_a_captured_run_is_the_direct_run_bit_for_bit(rig: mujoco.MjModel) -> None:
     captured, direct = start(rig), start(rig)
-    direct._captures = False
+    direct.captures = False
     assert torch.equal(run(captured), run(direct))
     assert set(captured._graphs) == {"step", "forward"}
     assert direct._graphs == {}
@@ -149,7 +149,7 @@ def test_a_card_without_memory_pools_runs_uncaptured_and_says_so_once(
     rig: mujoco.MjModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     simulation = start(rig)
-    simulation._captures = simulation._slow_reported = False
+    simulation.captures = simulation._slow_reported = False
     simulation.step(1)
     assert ["without graphs" in told for told in simulation.warnings()] == [True]
     assert simulation.warnings() == []

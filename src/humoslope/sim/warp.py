@@ -64,8 +64,11 @@ class WarpSimulation:
         nconmax: Contacts to make room for, per world on average.
         njmax: Constraint rows to make room for in each world; a contact takes three, or four with a pyramidal cone.
 
+    Attributes:
+        captures: Whether stages of the physics run as captured graphs; else kernel by kernel, with the same result.
+
     Raises:
-        UserError: If MuJoCo-Warp does not support something in the model.
+        UserError: If MuJoCo-Warp does not support something in the model, or the device's memory is too small.
     """
 
     backend = "warp"
@@ -81,8 +84,8 @@ class WarpSimulation:
         self.device = torch.device(wp.device_to_torch(self._wp_device))
         self._nconmax = nconmax
         # Allocations inside a capture need memory pools, which virtual GPUs and some containers lack.
-        self._captures = not self._wp_device.is_cuda or bool(wp.is_mempool_enabled(self._wp_device))
-        self._slow_reported = self._captures
+        self.captures = not self._wp_device.is_cuda or bool(wp.is_mempool_enabled(self._wp_device))
+        self._slow_reported = self.captures
         with wp.ScopedDevice(self._wp_device), self._memory_told():
             try:
                 self._m: Any = mjw.put_model(model)
@@ -214,7 +217,7 @@ class WarpSimulation:
 
         Warp captures and replays on the CPU as well, where it is thirteen times faster than launching kernel by kernel.
         """
-        if not self._captures:
+        if not self.captures:
             with self._on_torch_stream():
                 self._run_now(function)
             return
