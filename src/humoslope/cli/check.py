@@ -10,6 +10,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import torch
 from rich.console import Console
@@ -29,6 +30,8 @@ from humoslope.learning.benchmark import Measurement
 from humoslope.presets import Preset
 from humoslope.registry import TaskCfg, all_tasks, load_content
 from humoslope.sim.device import find_device
+
+Backend = Literal["auto", "native", "warp"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +77,7 @@ SCALES = {
     ("cuda", False): Scale((4096, 100), (1024, 30), (1024, 4096, 8192), 3, (4096, 20)),
     ("cuda", True): Scale((1024, 50), (256, 30), (1024, 4096), 1, (4096, 8)),
     ("cpu", False): Scale((64, 100), (64, 30), (64, 256, 512), 3, (512, 20)),
-    ("cpu", True): Scale((16, 25), (16, 30), (64,), 1, (128, 8)),
+    ("cpu", True): Scale((16, 25), (16, 30), (256,), 1, (128, 8)),
 }
 """Sizes by device and `quick`."""
 
@@ -136,7 +139,7 @@ def checks(
 ) -> list[tuple[str, Callable[[], list[Finding]]]]:
     """The checks in order, by name. Measured speeds are appended to `speeds`."""
 
-    def env_of(num_envs: int, backend: str | None = None) -> ManagerBasedRlEnv:
+    def env_of(num_envs: int, backend: Backend | None = None) -> ManagerBasedRlEnv:
         return ManagerBasedRlEnv(resized(cfg, num_envs, device, backend).env)
 
     def speed() -> list[Finding]:
@@ -158,9 +161,9 @@ def checks(
     ]
 
 
-def resized(cfg: TaskCfg, num_envs: int, device: torch.device, backend: str | None = None) -> TaskCfg:
+def resized(cfg: TaskCfg, num_envs: int, device: torch.device, backend: Backend | None = None) -> TaskCfg:
     """The task with another number of envs, on a device."""
-    sim = dataclasses.replace(cfg.env.sim, device=str(device), **({"backend": backend} if backend else {}))
+    sim = dataclasses.replace(cfg.env.sim, device=str(device), backend=backend or cfg.env.sim.backend)
     return dataclasses.replace(cfg, env=dataclasses.replace(cfg.env, num_envs=num_envs, sim=sim))
 
 
