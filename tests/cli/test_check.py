@@ -102,7 +102,7 @@ def test_contacts_and_motion_are_right_here_and_a_kick_is_found(monkeypatch) -> 
 
 def test_graphs_are_right_here_and_a_stale_one_is_found(monkeypatch) -> None:
     cfg = env_cfg(1)
-    assert wrong(physics.check_graphs(cfg, "cpu"))[:2] in ([], ["captured step, of a direct one"])  # a busy machine
+    assert set(wrong(physics.check_graphs(cfg, "cpu"))) <= {"captured step, of a direct one"}  # busy machines differ
     tile = WarpSimulation._tile
 
     def keep(self: WarpSimulation, struct: object, field: str) -> None:

@@ -22,8 +22,8 @@ from humoslope.sim.fields import (
     no_access,
 )
 
-# mj_step puts a world with a bad position, velocity or acceleration back to its initial state and goes on, and takes a
-# bad control as zero; all it leaves of the accident is a counter.
+# mj_step resets a world with a bad position, velocity or acceleration and goes on, and treats a bad control as zero;
+# the only trace is a counter.
 _FIRST_BAD = int(mjtWarning.mjWARN_BADQPOS)
 _FULL = ("contact", "constraint")
 _FULL_KINDS = [int(mjtWarning.mjWARN_CONTACTFULL), int(mjtWarning.mjWARN_CNSTRFULL)]
@@ -50,9 +50,9 @@ class NativeSimulation:
         self._qpos, self._qvel = self.state("qpos"), self.state("qvel")
         self._expanded: dict[str, Tensor] = {}
         self._warning: NDArray[np.int32] = self._batch.bind("warning")  # [N, kind, (last info, count)]
-        # Times a buffer was full in runs that were reset since, and times that were reported.
+        # Times a buffer was full in episodes that were reset since, and times that were reported.
         self._full_before = np.zeros(len(_FULL), dtype=np.int64)
-        self._full_told = np.zeros(len(_FULL), dtype=np.int64)
+        self._full_reported = np.zeros(len(_FULL), dtype=np.int64)
 
     def read(self, field: str) -> Tensor:
         """See `Simulation.read`."""
@@ -136,7 +136,7 @@ class NativeSimulation:
     def warnings(self) -> list[str]:
         """See `Simulation.warnings`. Both buffers live in the model's arena, whose size is `<size memory="...">`."""
         counts = self._full_before + self._warning[:, _FULL_KINDS, 1].sum(axis=0)
-        new, self._full_told = counts - self._full_told, counts
+        new, self._full_reported = counts - self._full_reported, counts
         return [
             f"the {name} buffer was full {times} times, so {name}s were lost; raise <size memory> in the model."
             for name, times in zip(_FULL, new, strict=True)

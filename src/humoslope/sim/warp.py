@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
@@ -54,15 +55,15 @@ _SMALLEST_POOL = 4
 class WarpSimulation:
     """`Simulation` on MuJoCo-Warp, float32.
 
-    MuJoCo-Warp keeps contacts in one buffer for all worlds and constraints in one buffer per world, of fixed size. What
-    does not fit is left out of the physics; `warnings` tells when that happened.
+    MuJoCo-Warp keeps contacts in one buffer for all worlds and constraints in one buffer per world, of fixed sizes.
+    What does not fit is left out of the physics, and `warnings` reports it.
 
     Args:
         model: The compiled model.
         num_worlds: N.
-        device: Where the worlds live.
-        nconmax: Contacts to make room for, per world on average.
-        njmax: Constraint rows to make room for in each world; a contact takes three, or four with a pyramidal cone.
+        device: Device of the worlds.
+        nconmax: Room for contacts, per world on average.
+        njmax: Room for constraint rows in each world; a contact takes three, or four with a pyramidal cone.
 
     Attributes:
         captures: Whether stages of the physics run as captured graphs; else kernel by kernel, with the same result.
@@ -88,7 +89,10 @@ class WarpSimulation:
         self._slow_reported = self.captures
         with wp.ScopedDevice(self._wp_device), self._memory_told():
             try:
-                self._m: Any = mjw.put_model(model)
+                with warnings.catch_warnings():
+                    # Of several contacts per cell; a height field makes contacts with several cells.
+                    warnings.filterwarnings("ignore", message="MULTICCD is enabled")
+                    self._m: Any = mjw.put_model(model)
             except NotImplementedError as error:
                 raise UserError(f"MuJoCo-Warp cannot run this model: {error}") from None
             naconmax = nconmax * max(num_worlds, _SMALLEST_POOL)
