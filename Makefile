@@ -9,7 +9,7 @@ need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  export play terrain bench reproduce recipe test lint types check format clean
+  export play terrain bench check-device reproduce recipe test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -77,6 +77,10 @@ terrain: $(STAMP) ## Draw the terrain NAME to a PNG
 
 bench: $(STAMP) ## Measure speed and memory of Stage I; ARGS="--checkpoint ..." with robots that walk
 	$(BIN)/humoslope bench HumoSlope-Stage1-Unitree-G1 $(ARGS)
+
+check-device: $(STAMP) ## Check that this installation is right and fast, within ten minutes; ARGS=--quick is shorter
+	$(BIN)/humoslope check HumoSlope-Stage1-Unitree-G1 --checkpoint experiments/checkpoints/stage1.pt \
+	  --curve experiments/results/stage1_curve.csv $(ARGS)
 
 reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two cores; experiments/reproduce.mk states it
 	@$(MAKE) -f experiments/reproduce.mk BIN=$(BIN) $(ARGS)

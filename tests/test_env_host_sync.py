@@ -2,114 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from types import TracebackType
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
-from torch.overrides import TorchFunctionMode
-from torch.utils._python_dispatch import TorchDispatchMode
 
+from humoslope.check.host_sync import HostSync, NoHostSync, no_host_sync
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.managers import ObservationTermCfg, RewardTermCfg
 from humoslope.mdp import bsga, observations
 from humoslope.slope.descriptor import phi5
-
-aten = torch.ops.aten
-
-ANSWERS = {aten._local_scalar_dense, aten.item, aten.is_nonzero, aten.equal, aten.allclose}
-"""Operators whose result is a number on the host."""
-
-SIZED_BY_VALUES = {aten.nonzero, aten.masked_select, aten._unique, aten._unique2, aten.unique_dim, aten.bincount}
-"""Operators whose result has a size that depends on values."""
-
-INDEXING = {aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
-
-FROM_HOST = {torch.tensor, torch.as_tensor, torch.from_numpy}
-TO_HOST = {Tensor.cpu, Tensor.numpy, Tensor.tolist, Tensor.item, Tensor.__bool__, Tensor.__int__, Tensor.__float__}
-
-
-class HostSync(AssertionError):
-    """What a step must not do."""
-
-
-class NoHostSync(TorchDispatchMode):
-    """Refuses operators that make the host wait for the device, and copies between the two.
-
-    `exempt` is set while the simulation hands over to NumPy.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.exempt = False
-        self.calls = _NoHostCalls(self)
-
-    def __enter__(self) -> NoHostSync:
-        super().__enter__()
-        self.calls.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.calls.__exit__(kind, error, trace)
-        super().__exit__(kind, error, trace)
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
-        kwargs = kwargs or {}
-        if not self.exempt and self._waits(func.overloadpacket, args, kwargs):
-            raise HostSync(f"{func} makes the host wait for the device")
-        return func(*args, **kwargs)
-
-    @staticmethod
-    def _waits(operator: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> bool:
-        if operator in ANSWERS or operator in SIZED_BY_VALUES:
-            return True
-        if operator is aten.repeat_interleave:
-            return kwargs.get("output_size") is None
-        if operator in INDEXING:
-            return any(i is not None and i.dtype in (torch.bool, torch.uint8) for i in args[1])
-        if operator is aten._to_copy:
-            return kwargs.get("device", args[0].device) != args[0].device
-        return operator is aten.copy_ and args[0].device != args[1].device
-
-
-class _NoHostCalls(TorchFunctionMode):
-    """Refuses calls that copy between host and device; on the CPU they reach no operator."""
-
-    def __init__(self, guard: NoHostSync) -> None:
-        super().__init__()
-        self._guard = guard
-
-    def __torch_function__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
-        if not self._guard.exempt and (func in FROM_HOST or func in TO_HOST):
-            raise HostSync(f"{func} copies between host and device")
-        return func(*args, **(kwargs or {}))
-
-
-@contextmanager
-def no_host_sync(env: ManagerBasedRlEnv, patch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Refuses host syncs, except in the physics' own hand-over."""
-    guard = NoHostSync()
-
-    def exempted(method: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*args: Any) -> Any:
-            guard.exempt = True
-            try:
-                return method(*args)
-            finally:
-                guard.exempt = False
-
-        return call
-
-    for name in ("step", "reset", "diverged", "known_empty", "known_rows"):
-        patch.setattr(env.sim, name, exempted(getattr(env.sim, name)))
-    with guard:
-        yield
-    patch.undo()
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -143,7 +47,7 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
     env.commands._stands[asked] = False
     command = env.commands.velocity[asked].clone()
 
-    with no_host_sync(env, monkeypatch):
+    with no_host_sync(env):
         _, _, failed, ended = env.step(actions[12])
         for action in actions[13:]:
             obs, reward, _, _ = env.step(action)

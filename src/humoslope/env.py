@@ -60,6 +60,7 @@ class SimCfg(StrictCfg):
         cone: Friction cone. The pyramidal one is faster, but its friction depends on direction.
         backend: "warp" for CUDA, "native" for the CPU, "auto" for the one that fits the device.
         device: Device of all tensors: "auto", "cpu", "cuda" or "cuda:N".
+        num_threads: Threads of the native backend; 0 for all CPUs that the process may use.
         nconmax: Room for contacts per env; warp only.
         njmax: Room for constraint rows per env; warp only.
     """
@@ -69,6 +70,7 @@ class SimCfg(StrictCfg):
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     backend: Literal["auto", "native", "warp"] = "auto"
     device: str = "auto"
+    num_threads: int = 0
     nconmax: int = 48
     njmax: int = 192
 
@@ -161,6 +163,7 @@ class ManagerBasedRlEnv:
             cfg.num_envs,
             backend=cfg.sim.backend,
             device=cfg.sim.device,
+            num_threads=cfg.sim.num_threads,
             nconmax=cfg.sim.nconmax,
             njmax=cfg.sim.njmax,
         )

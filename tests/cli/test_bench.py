@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import pytest
@@ -51,3 +52,19 @@ def test_the_file_holds_every_round(tmp_path, capsys):
     assert report["preset"] == "cpu"
     assert report["sizes"][0]["env"] == [4000.0, 4000.0, 800.0]
     assert list(out.parent.iterdir()) == [out]
+
+
+def test_a_gpu_is_named_with_its_memory(tmp_path, monkeypatch, capsys):
+    def on_card(task, typed, worlds):
+        return dataclasses.replace(measured(task, typed, worlds), device="Card, 80 GiB", card_mib=4000.0 + worlds)
+
+    monkeypatch.setattr(bench, "_measure_apart", on_card)
+    out = tmp_path / "bench.json"
+    assert main(["bench", TASK, "--sizes", "512", "--preset", "gpu", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "Card, 80 GiB" in printed
+    assert "4,512" in printed
+    assert "Aims of the cpu preset" not in printed
+    report = json.loads(out.read_text())
+    assert report["machine"]["device"] == "Card, 80 GiB"
+    assert report["sizes"][0]["card_mib"] == 4512.0

@@ -68,3 +68,9 @@ def test_a_measurement_has_a_value_for_each_round(task, monkeypatch):
         assert len(values) == 2
         assert min(values) > 0.0
     assert result.peak_mib > 100.0
+
+
+def test_the_memory_of_a_card_is_what_all_pools_on_it_hold(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (70 * 2**30, 80 * 2**30))
+    assert benchmark._card_mib(torch.device("cuda:0")) == 10 * 1024
+    assert benchmark._card_mib(torch.device("cpu")) is None

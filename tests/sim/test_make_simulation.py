@@ -52,7 +52,7 @@ def test_a_wrong_field_name_is_answered_with_the_nearest(rig: mujoco.MjModel, ba
         simulation.state("qpo")
     with pytest.raises(UserError, match=r"model field 'geom_frictions' .*'geom_friction'"):
         simulation.expand("geom_frictions")
-    with pytest.raises(UserError, match="take it with state"):
+    with pytest.raises(UserError, match="get it with state"):
         simulation.read("qpos")
     with pytest.raises(UserError, match=f"{backend} backend gives no access"):
         simulation.read("efc_force")

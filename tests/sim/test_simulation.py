@@ -238,6 +238,28 @@ def test_a_diverged_world_is_seen_and_the_others_go_on(
     assert broken.warnings() == []
 
 
+@pytest.mark.parametrize(("speed", "broken"), [(5e3, True), (500.0, False)])
+def test_a_world_that_explodes_counts_as_diverged_while_its_numbers_are_finite(
+    rig: mujoco.MjModel, backend: str, speed: float, broken: bool
+) -> None:
+    simulation = start(rig, backend)
+    simulation.state("qvel")[1, -1] = speed  # rad/s
+    simulation.step(1)
+    assert simulation.state("qvel").isfinite().all()
+    assert simulation.diverged().tolist() == [False, broken, False]
+
+
+def test_a_model_field_may_be_given_to_each_world_in_the_middle_of_a_run(rig: mujoco.MjModel, backend: str) -> None:
+    changed, plain = start(rig, backend), start(rig, backend)
+    for simulation in (changed, plain):
+        run(simulation, 5)
+    slippery(changed)
+    for simulation in (changed, plain):
+        run(simulation, 40)
+    assert torch.equal(changed.state("qpos")[OTHERS], plain.state("qpos")[OTHERS])
+    assert (changed.state("qpos") - plain.state("qpos"))[1].abs().max() > 1e-3
+
+
 def test_the_known_rows_hold_every_world_of_the_mask_and_where_looking_costs_nothing_no_other(
     rig: mujoco.MjModel, backend: str
 ) -> None:

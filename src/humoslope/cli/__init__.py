@@ -26,6 +26,7 @@ VERBS = {
     "export": "Export a checkpoint to ONNX and a contract.",
     "play": "Walk with an exported policy in plain MuJoCo.",
     "bench": "Measure speed and memory.",
+    "check": "Check that an installation is right and fast, on a GPU or a CPU.",
 }
 """Each verb is `run(arguments)` in the module of its name."""
 

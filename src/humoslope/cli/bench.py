@@ -77,7 +77,7 @@ def run(arguments: list[str]) -> None:
     for size in sorted(options.sizes):
         results.append(_measure_apart(task, typed, size))
         console.print(f"  {size} worlds: {median(results[-1].env):,.0f} steps/s", highlight=False)
-    console.print(speed_table(results), descriptor_table(results), parts_table(results))
+    console.print(speed_table(results, options.preset), descriptor_table(results), parts_table(results))
     if options.out:
         report = _report(task, typed, options, driver, load, results)
         write_text(Path(options.out), json.dumps(report, indent=2) + "\n")
@@ -100,14 +100,17 @@ def _measure(task: str, typed: list[str], worlds: int) -> Measurement:
     return measure(task, cfg, options.rounds, Path(options.checkpoint) if options.checkpoint else None)
 
 
-def speed_table(results: list[Measurement]) -> Table:
+def speed_table(results: list[Measurement], preset: Preset) -> Table:
     """A row for each number of worlds."""
     reference = next((r for r in results if r.worlds == 256), results[0])
     caption = (
         f"collect, learn: ms of a PPO iteration. cost: of one world's env.step, relative to {reference.worlds} worlds."
     )
-    table = Table(title="Control steps of all worlds per second", caption=f"{caption}\n{TARGETS}")
-    for column in ("worlds", "raw", "env.step", "of raw", "PPO", "of raw", "collect", "learn", "MiB", "cost"):
+    on_card = results[0].card_mib is not None
+    title = f"Control steps of all worlds per second, {results[0].device}"
+    table = Table(title=title, caption=f"{caption}\n{TARGETS}" if preset == "cpu" and not on_card else caption)
+    memory = ("MiB", "card MiB") if on_card else ("MiB",)
+    for column in ("worlds", "raw", "env.step", "of raw", "PPO", "of raw", "collect", "learn", *memory, "cost"):
         table.add_column(column, justify="right")
     for r in results:
         table.add_row(
@@ -120,6 +123,7 @@ def speed_table(results: list[Measurement]) -> Table:
             f"{1e3 * median(r.collection_s):,.0f}",
             f"{1e3 * median(r.learning_s):,.0f}",
             f"{r.peak_mib:,.0f}",
+            *([] if r.card_mib is None else [f"{r.card_mib:,.0f}"]),
             f"{median(reference.env) / median(r.env):.2f}",
         )
     return table
@@ -158,7 +162,12 @@ def _report(
         "options": typed,
         "driver": driver,
         "preset": options.preset,
-        "machine": {"platform": platform.platform(), "cores": usable_cores(), "load_before": load},
+        "machine": {
+            "platform": platform.platform(),
+            "cores": usable_cores(),
+            "load_before": load,
+            "device": results[0].device,
+        },
         "unit": "control steps of all worlds per second; one value for each round",
         "sizes": [dataclasses.asdict(r) for r in results],
     }

@@ -21,6 +21,7 @@ from humoslope.learning.policy import load_actor
 from humoslope.learning.rng import seed_everything
 from humoslope.learning.trainer import Trainer
 from humoslope.registry import TaskCfg
+from humoslope.sim.device import describe_device
 from humoslope.slope.descriptor import phi5
 
 RANDOM_STD = 0.8
@@ -52,8 +53,10 @@ class Measurement:
         raw, env, ppo: Control steps of all worlds per second, one value for each round.
         descriptor_s: Scan and terrain descriptor of all worlds, once, s, one value for each round.
         collection_s, learning_s: The two halves of a PPO iteration, s.
-        peak_mib: Largest memory of the process through a whole PPO iteration, MiB.
+        peak_mib: Largest host memory of the process through a whole PPO iteration, MiB.
         parts: Share of each part in the time of `env.step`.
+        device: Name of the GPU with its memory and driver, or "CPU".
+        card_mib: Memory of the GPU in use after the last PPO iteration, of all processes on it, MiB; None on a CPU.
     """
 
     worlds: int
@@ -65,6 +68,8 @@ class Measurement:
     learning_s: list[float]
     peak_mib: float
     parts: dict[str, float]
+    device: str = "CPU"
+    card_mib: float | None = None
 
 
 def measure(task: str, cfg: TaskCfg, rounds: int, checkpoint: Path | None = None) -> Measurement:
@@ -112,6 +117,8 @@ def measure(task: str, cfg: TaskCfg, rounds: int, checkpoint: Path | None = None
         learning_s=list(learning),
         peak_mib=peak,
         parts=parts,
+        device=describe_device(env.device),
+        card_mib=_card_mib(env.device),
     )
 
 
@@ -209,6 +216,15 @@ def _hung(thing: object, name: str, function: Callable[..., Any]) -> Iterator[No
         yield
     finally:
         delattr(thing, name)
+
+
+def _card_mib(device: torch.device) -> float | None:
+    # Physics, captured graphs and torch have pools of their own, which keep what they once needed; only the card
+    # itself knows their sum.
+    if device.type != "cuda":
+        return None
+    free, total = torch.cuda.mem_get_info(device)
+    return (total - free) / 2**20
 
 
 def _peak_mib() -> float:

@@ -1,4 +1,4 @@
-"""Which fields of the model and of its data a simulation gives access to, alike for every backend."""
+"""Fields of the model and of its data that a simulation gives access to, and limits common to every backend."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from torch import Tensor
 from humoslope.errors import UserError, unknown
 
 STATE_FIELDS = ("qpos", "qvel", "ctrl", "xfrc_applied", "time")
-"""What the caller may write: fields that are part of the state or drive it."""
+"""Fields the caller may write: part of the state, or driving it."""
+
+FASTEST = 1e3
+"""Largest velocity of a world that counts as whole, rad/s or m/s. Motors reach some 40 rad/s; a physics that explodes
+passes this within a step or two, long before its numbers stop being finite."""
 
 
 def check_state(field: str) -> None:
-    """Raises UserError unless `field` can be had with `Simulation.state`."""
+    """Raises UserError unless `field` is a state field."""
     if field not in STATE_FIELDS:
         raise unknown("state field", field, STATE_FIELDS)
 
@@ -22,7 +26,7 @@ def check_state(field: str) -> None:
 def check_reading(model: mujoco.MjModel, field: str) -> None:
     """Raises UserError unless `field` is an array of `MjData` that a step computes."""
     if field in STATE_FIELDS:
-        raise UserError(f"'{field}' is a state field; take it with state('{field}').")
+        raise UserError(f"'{field}' is a state field; get it with state('{field}').")
     known = _array_names(mujoco.MjData(model))
     if field not in known:
         raise unknown("reading", field, known)
@@ -36,7 +40,7 @@ def check_model_field(model: mujoco.MjModel, field: str) -> None:
 
 
 def no_access(field: str, backend: str) -> UserError:
-    """The error for a field that MuJoCo has but a backend does not."""
+    """Error for a field that MuJoCo has but a backend does not."""
     return UserError(f"MuJoCo has '{field}', but the {backend} backend gives no access to it per world.")
 
 

@@ -12,10 +12,18 @@ from torch import Tensor
 
 from humoslope.cpu import usable_cores
 from humoslope.errors import UserError
-from humoslope.sim.fields import STATE_FIELDS, check_model_field, check_reading, check_reset, check_state, no_access
+from humoslope.sim.fields import (
+    FASTEST,
+    STATE_FIELDS,
+    check_model_field,
+    check_reading,
+    check_reset,
+    check_state,
+    no_access,
+)
 
-# mj_step puts a world with a bad position, velocity or acceleration back to its initial state and goes on, and takes a
-# bad control as zero; all it leaves of the accident is a counter.
+# mj_step resets a world with a bad position, velocity or acceleration and goes on, and treats a bad control as zero;
+# the only trace is a counter.
 _FIRST_BAD = int(mjtWarning.mjWARN_BADQPOS)
 _FULL = ("contact", "constraint")
 _FULL_KINDS = [int(mjtWarning.mjWARN_CONTACTFULL), int(mjtWarning.mjWARN_CNSTRFULL)]
@@ -39,13 +47,12 @@ class NativeSimulation:
         self._rows: NDArray[np.float64] = self._batch.bind("state")  # [N, nstate]
         self._fresh = _initial_state(model)
         self._state = {field: self._batch.bind(field) for field in STATE_FIELDS}
-        # In a row qpos and qvel stand together, after the time.
-        self._motion = torch.from_numpy(self._rows)[:, 1 : 1 + model.nq + model.nv]
+        self._qpos, self._qvel = self.state("qpos"), self.state("qvel")
         self._expanded: dict[str, Tensor] = {}
         self._warning: NDArray[np.int32] = self._batch.bind("warning")  # [N, kind, (last info, count)]
-        # Times a buffer was full in runs that were reset since, and times that were reported.
+        # Times a buffer was full in episodes that were reset since, and times that were reported.
         self._full_before = np.zeros(len(_FULL), dtype=np.int64)
-        self._full_told = np.zeros(len(_FULL), dtype=np.int64)
+        self._full_reported = np.zeros(len(_FULL), dtype=np.int64)
 
     def read(self, field: str) -> Tensor:
         """See `Simulation.read`."""
@@ -122,13 +129,14 @@ class NativeSimulation:
     def diverged(self) -> Tensor:
         """See `Simulation.diverged`."""
         bad = self._warning[:, _FIRST_BAD:, 1].any(axis=1)
-        # A NaN anywhere makes the sum NaN; only the last physics step of a call can leave one uncounted.
-        return torch.from_numpy(bad) | ~self._motion.sum(dim=1).isfinite()
+        # Only the last physics step of a call can leave a NaN uncounted; it makes the sum NaN and the comparison false.
+        fine = self._qpos.sum(dim=1).isfinite() & (self._qvel.abs().amax(dim=1) <= FASTEST)
+        return torch.from_numpy(bad) | ~fine
 
     def warnings(self) -> list[str]:
         """See `Simulation.warnings`. Both buffers live in the model's arena, whose size is `<size memory="...">`."""
         counts = self._full_before + self._warning[:, _FULL_KINDS, 1].sum(axis=0)
-        new, self._full_told = counts - self._full_told, counts
+        new, self._full_reported = counts - self._full_reported, counts
         return [
             f"the {name} buffer was full {times} times, so {name}s were lost; raise <size memory> in the model."
             for name, times in zip(_FULL, new, strict=True)

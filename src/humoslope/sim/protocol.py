@@ -1,4 +1,4 @@
-"""What the environment asks of a physics backend."""
+"""Interface between the environment and a physics backend."""
 
 from __future__ import annotations
 
@@ -12,14 +12,20 @@ from torch import Tensor
 class Simulation(Protocol):
     """Many worlds of one compiled MuJoCo model, stepped together.
 
-    Readings are float32 tensors that the backend refreshes in place, of the instant of the last force computation:
-    after `step` that is one physics step before the state, as with `mj_step`; after `reset` it is the state that was
-    set. Keep a copy of what must outlive a step.
+    State is what the integrator carries on (`qpos`, `qvel`, ...); readings are what the last force computation derived
+    (`sensordata`, `actuator_force`, `xpos`, ...). They are float32 tensors that the backend refreshes in place:
+
+    - after `step`, of the instant one physics step before the state, as with `mj_step`;
+    - after `reset`, of the state, controls and wrenches that were set, in the worlds that were reset.
+
+    A reading has its first meaningful value after the first `step` or `reset` that follows `read`. Copy what must
+    outlive a step. Two runs of the same commands agree bit for bit on a CPU; on a GPU contacts are found in any order,
+    so that sums of their forces differ in the last digits.
 
     Attributes:
-        model: The compiled model all worlds started from.
+        model: Compiled model that all worlds started from.
         num_worlds: N.
-        device: Where the tensors live.
+        device: Device of all tensors.
         backend: "native" or "warp".
     """
 
@@ -29,7 +35,7 @@ class Simulation(Protocol):
     backend: str
 
     def read(self, field: str) -> Tensor:
-        """A live view [N, ...] of a derived `MjData` field, such as "sensordata" or "actuator_force".
+        """Returns a live view [N, ...] of a derived `MjData` field, such as "sensordata" or "actuator_force".
         Call once and keep it.
 
         Raises:
@@ -38,7 +44,7 @@ class Simulation(Protocol):
         ...
 
     def state(self, field: str) -> Tensor:
-        """A live view [N, ...] of a state field ("qpos", "qvel", "ctrl", "xfrc_applied", "time"),
+        """Returns a live view [N, ...] of a state field ("qpos", "qvel", "ctrl", "xfrc_applied", "time"),
         to read and to write in place.
 
         Its dtype is the backend's own (float64 native, float32 warp). What is written holds from the next step.
@@ -46,15 +52,15 @@ class Simulation(Protocol):
         ...
 
     def expand(self, field: str) -> Tensor:
-        """Gives a model field ("geom_friction", "body_mass", ...) one value per world:
-        a live view [N, ...], to write in place.
+        """Gives a model field ("geom_friction", "body_mass", ...) one value per world and returns a live view [N, ...],
+        to write in place.
 
         Values derived from a field that was written follow only after `recompute_constants`.
         """
         ...
 
     def recompute_constants(self) -> None:
-        """Derives the model constants that follow from masses, inertias and positions again, in every world
+        """Computes again, in every world, the model constants that follow from masses, inertias and positions
         (`mj_setConst`)."""
         ...
 
@@ -62,6 +68,7 @@ class Simulation(Protocol):
         """Advances every world by `n` physics steps with the controls and wrenches held.
 
         Args:
+            n: Physics steps.
             mask: [N] bool; the worlds that matter. The native backend leaves the others as they are and saves their
                 time; MuJoCo-Warp steps all worlds alike.
         """
@@ -87,22 +94,23 @@ class Simulation(Protocol):
         ...
 
     def known_empty(self, mask: Tensor) -> bool:
-        """Whether it is known without waiting for the device that `mask` [N] holds in no world.
+        """Returns whether `mask` [N] is false everywhere, as far as that is known without waiting for the device.
 
-        Where the worlds live on the host that is a look; a GPU never knows.
+        On the host it is known; a GPU's answer is always false.
         """
         ...
 
     def known_rows(self, mask: Tensor) -> Tensor | slice:
-        """An index of the worlds to work on so that those in `mask` [N] are among them, without waiting for the device:
-        they alone where the worlds live on the host, all worlds on a GPU."""
+        """Returns an index of worlds that include those in `mask` [N], without waiting for the device: exactly those on
+        the host, all worlds on a GPU."""
         ...
 
     def diverged(self) -> Tensor:
-        """Worlds [N] (bool) that went numerically wrong since they were last reset."""
+        """Returns the worlds [N] (bool) whose physics failed since they were last reset: a value is not finite, or a
+        velocity is beyond `fields.FASTEST`."""
         ...
 
     def warnings(self) -> list[str]:
-        """What the user should know of the physics since the last call (full buffers, with the field to raise).
-        May synchronise."""
+        """Returns sentences about the physics since the last call, such as full buffers with the field to raise.
+        May wait for the device."""
         ...
