@@ -6,9 +6,11 @@ from typing import Any
 
 import pytest
 
+from humoslope import packing
 from humoslope.env import SimCfg
 from humoslope.errors import UserError
 from humoslope.managers import RewardTermCfg, Terms
+from humoslope.mdp import rewards
 from humoslope.packing import NAME, TYPE, describe, differences, pack, unpack
 from humoslope.provenance import plain
 from humoslope.registry import all_tasks, build_task, content_packages
@@ -76,3 +78,8 @@ def test_a_robot_is_described_by_its_numbers_and_the_hash_of_its_model() -> None
     assert one["joint_names"] == list(UNITREE_G1.joint_names)
     assert one == describe(UNITREE_G1)
     assert not {"urdf", "meshes", "make_spec"} & one.keys()
+
+
+def test_a_renamed_function_is_found_under_its_new_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(packing.RENAMED, "humoslope.mdp.rewards:living", "humoslope.mdp.rewards:alive")
+    assert unpack({NAME: "humoslope.mdp.rewards:living"}, ()) is rewards.alive

@@ -26,6 +26,10 @@ TYPE, NAME, ROBOT = "$type", "$name", "$robot"
 OWN = ("humoslope.mdp", "humoslope.managers")
 """Modules of this package that functions may come from."""
 
+RENAMED: dict[str, str] = {}
+"""Names in the configurations of older checkpoints, and today's: an entry for every function or configuration class of
+a shipped task that is renamed or moved, such as "humoslope.mdp.rewards:old": "humoslope.mdp.rewards:new"."""
+
 
 def pack(value: Any) -> Any:
     """A configuration as data.
@@ -115,7 +119,7 @@ def _made(name: str, inner: dict[str, Any], allowed: tuple[str, ...]) -> Any:
 
 def _find(name: str, allowed: tuple[str, ...]) -> Any:
     """The function or class of a qualified name such as "humoslope.mdp.rewards:alive"."""
-    module, _, path = name.partition(":")
+    module, _, path = RENAMED.get(name, name).partition(":")
     if not any(module == package or module.startswith(f"{package}.") for package in allowed):
         raise UserError(f"configuration: '{name}' lies outside the packages {', '.join(allowed)}.")
     try:

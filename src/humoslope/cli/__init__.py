@@ -23,6 +23,7 @@ VERBS = {
     "replay": "Show a recorded walk in rerun.",
     "video": "Make a video and a contact sheet of a recorded walk.",
     "meshes": "Fetch the real meshes of a robot, for replay and video.",
+    "upgrade": "Rewrite a checkpoint of an older version in the format of this one.",
     "export": "Export a checkpoint to ONNX and a contract.",
     "play": "Walk with an exported policy in plain MuJoCo.",
     "bench": "Measure speed and memory.",

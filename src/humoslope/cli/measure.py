@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 import humoslope
-from humoslope.cli.options import trained_task
+from humoslope.cli.options import configuration_of
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol
 from humoslope.learning import checkpoint as checkpoints
@@ -37,7 +37,7 @@ def trained(checkpoint: Path) -> tuple[Provenance, TaskCfg]:
     path = find_checkpoint(checkpoint)
     provenance, state = read_provenance(path), checkpoints.load(path)
     if state["config"] is None:
-        return provenance, trained_task(path, provenance.task)
+        return provenance, configuration_of(path, provenance.task)
     cfg = trained_cfg(path, state)
     if changed := changes_since(path, state, cfg, spec_of(state).groups):
         print(changed)

@@ -89,8 +89,8 @@ class Scale:
     preset: Preset = "auto"
 
 
-def trained_task(checkpoint: Path, task: str) -> TaskCfg:
+def configuration_of(checkpoint: Path, task: str, options: list[str] | None = None) -> TaskCfg:
     """The configuration behind a checkpoint of the first format, which does not hold it: the task's own, with the
     options of the run if it lies in its run folder."""
-    options = saved_options(checkpoint.parent)
+    options = saved_options(checkpoint.parent) if options is None else options
     return parse(Scale(), task, options)[0] if options else build_task(task)

@@ -9,10 +9,10 @@ from pathlib import Path
 import torch
 from rich.console import Console
 
-from humoslope.cli.options import early, parse, trained_task
+from humoslope.cli.options import configuration_of, early, parse
 from humoslope.cli.overrides import merge_options, option_groups
 from humoslope.cli.warm_start import Origin, find_origin
-from humoslope.cpu import usable_cores
+from humoslope.cpu import thread_advice, usable_cores
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.learning import checkpoint
@@ -108,6 +108,8 @@ def _train(
             record_start(run_dir, task, cfg, options, trainer.iteration, trainer.total_steps, source)
             _introduce(console, task, env, run_dir)
             _introduce_origin(console, cfg, resumed, origin)
+            if env.device.type == "cpu" and (advice := thread_advice()):
+                console.print(f"[yellow]{advice}[/yellow]", soft_wrap=True)
         trainer.train()
 
 
@@ -115,7 +117,7 @@ def _resumed_cfg(start: Path, task: str) -> TaskCfg:
     """The configuration that a run goes on with: that of its checkpoint."""
     state = checkpoint.load(start, task)
     if state["config"] is None:
-        return trained_task(start, task)
+        return configuration_of(start, task)
     return trained_cfg(start, state)
 
 

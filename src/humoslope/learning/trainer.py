@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -19,8 +14,9 @@ from rich.console import Console
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.files import write_atomically
+from humoslope.interrupts import deferred_interrupts
 from humoslope.learning import checkpoint
-from humoslope.learning.distributed import Processes, any_process
+from humoslope.learning.distributed import Processes, any_process, mean_over_processes
 from humoslope.learning.learner import Learner, Transition
 from humoslope.learning.logger import CurveWriter, ProgressLine
 from humoslope.learning.policy import load_weights, parent_record, spec_of, spec_state
@@ -67,7 +63,6 @@ class Trainer:
         self.iteration, self.total_steps, self.total_time = 0, 0, 0.0
         self._parent: dict[str, Any] | None = None
         self._config = pack(cfg)
-        self._stop_asked = False
         self._last_saved: Path | None = None
 
     def train(self) -> bool:
@@ -87,14 +82,14 @@ class Trainer:
         curves = CurveWriter(self.run_dir, self.cfg.agent)
         line = ProgressLine(self._console, first, last)
         try:
-            with self._stopped_by_signals():
+            with deferred_interrupts(self._say_stop, second_raises=True) as interrupt:
                 stopping = False
                 while self.iteration < last and not stopping:
                     values = self.iterate()
                     curves.write(self.iteration - 1, values)
                     line.show(self.iteration - 1, values)
                     self._report_physics(values)
-                    (stopping,) = any_process((self._stop_asked,), self.env.device)
+                    (stopping,) = any_process((interrupt.requested,), self.env.device)
                     if stopping or self._is_saved_now(last):
                         self._save(curves)
         finally:
@@ -126,6 +121,8 @@ class Trainer:
         collected = self._now()
         self._require_finite_values()
         losses = self.learner.update(obs)
+        if self._processes.size > 1:
+            self.env.curriculum.average(mean_over_processes)
         learned = self._now()
 
         self.iteration += 1
@@ -294,25 +291,8 @@ class Trainer:
         write_atomically(path, lambda out: np.savez(out, qpos=qpos.numpy(), qvel=qvel.numpy()))
         self._console.print(f"[yellow]An env diverged and was reset; its last states are in {path}.[/yellow]")
 
-    @contextmanager
-    def _stopped_by_signals(self) -> Iterator[None]:
-        """While inside, SIGINT and SIGTERM end the run after its iteration; once more ends it at once."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-
-        def stop(number: int, frame: FrameType | None) -> None:
-            if self._stop_asked:
-                raise KeyboardInterrupt
-            self._stop_asked = True
-            self._console.print("Stopping after this iteration; once more stops at once, without saving.")
-
-        handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
+    def _say_stop(self) -> None:
+        self._console.print("Stopping after this iteration; once more stops at once, without saving.")
 
 
 def _misfit(path: Path, error: Exception) -> UserError:

@@ -34,6 +34,13 @@ class CurriculumTerm(StatefulTerm):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores the result of `state_dict`."""
 
+    def average(self, mean: Callable[[Tensor], Tensor]) -> None:
+        """Shares the difficulty between the processes of a distributed run; by default each keeps its own.
+
+        Args:
+            mean: Returns the mean of a tensor over all processes.
+        """
+
 
 class CurriculumManager:
     """Runs the curricula.
@@ -87,6 +94,12 @@ class CurriculumManager:
         for name, value in state.items():
             if name in self._terms:
                 self._terms[name].load_state_dict(value)
+
+    def average(self, mean: Callable[[Tensor], Tensor]) -> None:
+        """Shares the difficulties between processes; see `CurriculumTerm.average`."""
+        for term in self._terms.values():
+            if isinstance(term, CurriculumTerm):
+                term.average(mean)
 
     def table(self) -> Table:
         """Table of the curricula and their parameters."""

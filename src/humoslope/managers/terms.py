@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from torch import Tensor
 
@@ -76,6 +76,9 @@ class TermCfg(StrictCfg):
 
 class StatefulTerm(ABC):
     """Term with a memory between steps; constructed with the environment and the term's parameters."""
+
+    START_ONLY: ClassVar[tuple[str, ...]] = ()
+    """Parameters that only a new run reads: a resumed one continues with what its checkpoint holds."""
 
     @abstractmethod
     def reset(self, mask: Tensor) -> None:

@@ -32,6 +32,8 @@ class TerrainLevels(CurriculumTerm):
             alone, 1 for a policy that can walk them all already.
     """
 
+    START_ONLY = ("spread",)
+
     def __init__(
         self,
         env: Env,

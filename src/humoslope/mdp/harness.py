@@ -18,6 +18,8 @@ from humoslope.managers.terms import StatefulTerm
 from humoslope.slope import quaternion, zmp
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
@@ -32,6 +34,8 @@ class Harness(StatefulTerm):
         damping: Torque against the torso's horizontal angular velocity, Nm s/rad.
         scale: Initial scale.
     """
+
+    START_ONLY = ("scale",)
 
     def __init__(
         self, env: Env, support: float = 0.35, stiffness: float = 120.0, damping: float = 3.0, scale: float = 1.0
@@ -173,3 +177,8 @@ class HarnessCurriculum(CurriculumTerm):
         self._harness.scale = torch.tensor(state["scale"], device=self._falls.device)
         self._falls = torch.tensor(state["falls"], device=self._falls.device)
         self._speed = torch.tensor(state["speed"], device=self._speed.device)
+
+    def average(self, mean: Callable[[Tensor], Tensor]) -> None:
+        """Withdraws the harness of all processes alike, by their mean fall rate and speed."""
+        self._falls, self._speed = mean(self._falls), mean(self._speed)
+        self._harness.scale = mean(self._harness.scale)
