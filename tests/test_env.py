@@ -45,7 +45,7 @@ def few_tiles(cfg: EnvCfg) -> None:
 
 
 def noiseless(cfg: EnvCfg) -> None:
-    """On a smaller ground; a reset elsewhere draws numbers that would change what noise the other worlds get."""
+    """On a smaller ground; a reset elsewhere draws numbers that would change what noise the other envs get."""
     few_tiles(cfg)
     cfg.observations.actor.enable_corruption = False
 
@@ -219,8 +219,12 @@ def test_observers_see_the_end_of_an_episode_before_it_is_reset(
 
 
 def short(cfg: EnvCfg) -> None:
-    """Undisturbed episodes of 0.24 s under a command that holds."""
+    """Undisturbed episodes of 0.24 s under a command that holds, observed as vectors and as a map."""
     undisturbed(cfg)
+    scan = ObservationTermCfg(
+        lambda env: env.height_scan.heights_w.view(-1, 1, 7, 7) - env.signals.root_pos_w[:, 2:, None, None]
+    )
+    cfg.observations.map = ObservationGroupCfg(Terms(scan=scan), history=2)
     cfg.episode_length_s = 0.24
     cfg.command.heading_share = 0.0
 
@@ -243,11 +247,12 @@ def test_the_terminal_observation_is_the_one_that_would_have_followed_without_a_
         obs, _, failed, ended = env.step(action)
         uninterrupted, _, _, _ = twin.step(action)
         done = failed | ended
-        for group in ("actor", "critic"):
+        for group in ("actor", "critic", "map"):
             terminal = env.terminal_observations[group]
             assert terminal[~done].equal(obs[group][~done])
             assert terminal[done & first].equal(uninterrupted[group][done & first])
-            assert not terminal[done].isclose(obs[group][done]).all(dim=1).any()
+            assert not terminal[done].isclose(obs[group][done]).flatten(1).all(dim=1).any()
+        assert obs["map"].shape == (6, 2, 7, 7)
         ends += int((done & first).sum())
         first &= ~done
     assert ends == 6

@@ -68,7 +68,7 @@ def mirror(env: ManagerBasedRlEnv) -> Mirror:
 
 
 def start_in_pairs(env: ManagerBasedRlEnv, mirror: Mirror, seed: int, height: float) -> TensorDict:
-    """Puts the second half of the worlds at the mirror image of the first half, `height` m above the default one."""
+    """Puts the second half of the envs at the mirror image of the first half, `height` m above the default one."""
     generator = torch.Generator().manual_seed(seed)
 
     def random(*shape: int, scale: float) -> Tensor:

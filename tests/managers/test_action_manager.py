@@ -29,7 +29,7 @@ def test_an_action_of_zero_holds_the_default_pose_and_one_moves_by_the_robots_sc
     torch.testing.assert_close(env.ctrl.float(), (DEFAULT + torch.tensor([1.0, -2.0])).expand(N, J))
 
 
-def test_the_last_two_actions_are_remembered_until_the_world_starts_anew(env, mask):
+def test_the_last_two_actions_are_remembered_until_the_env_starts_anew(env, mask):
     actions = ActionManager(env, JointPositionActionCfg())
     for value in (1.0, 2.0):
         actions.process(torch.full((N, J), value))

@@ -46,7 +46,7 @@ def test_commands_fill_their_ranges_and_stay_within(make_commands):
         assert high - 0.05 * (high - low) < drawn.max() <= high
 
 
-def test_the_asked_share_of_worlds_stands_and_is_asked_for_nothing(make_commands):
+def test_the_asked_share_of_envs_stands_and_is_asked_for_nothing(make_commands):
     commands = make_commands(VelocityCommandCfg(standing_share=0.3))
     standing = ~commands.moving
     assert 0.25 < standing.float().mean() < 0.35
@@ -54,7 +54,7 @@ def test_the_asked_share_of_worlds_stands_and_is_asked_for_nothing(make_commands
     assert (commands.velocity[commands.moving, 0] > 0.0).all()
 
 
-def test_the_asked_share_of_worlds_steers(make_commands):
+def test_the_asked_share_of_envs_steers(make_commands):
     cfg = VelocityCommandCfg(heading_share=0.6, standing_share=0.0, yaw_rate=(0.1, 0.3))
     steers = make_commands(cfg).velocity[:, 2] == 0.0  # they already face along their tile
     assert 0.55 < steers.float().mean() < 0.65
@@ -125,7 +125,7 @@ def test_a_command_holds_for_its_duration_in_control_steps_and_not_one_more(make
         assert (commands.velocity[:, 0] != before[:, 0]).all()
 
 
-def test_only_worlds_in_the_mask_get_a_new_command(make_commands):
+def test_only_envs_in_the_mask_get_a_new_command(make_commands):
     commands = make_commands(VelocityCommandCfg(heading_share=0.0, standing_share=0.1))
     before, moving = commands.velocity, commands.moving
     mask = torch.arange(N) < N // 2
@@ -161,7 +161,7 @@ def test_a_range_the_wrong_way_round_is_named(make_commands, name):
 
 @pytest.mark.parametrize("name", ["heading_share", "standing_share"])
 @pytest.mark.parametrize("share", [-0.1, 1.5, math.nan])
-def test_a_share_of_worlds_beyond_all_or_nothing_is_refused(make_commands, name, share):
+def test_a_share_of_envs_beyond_all_or_nothing_is_refused(make_commands, name, share):
     with pytest.raises(UserError, match=f"command: {name} {share} must be between 0 and 1"):
         make_commands(VelocityCommandCfg(**{name: share}))
 

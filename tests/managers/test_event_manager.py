@@ -1,4 +1,4 @@
-"""When events strike, and which worlds."""
+"""When events strike, and which envs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_interval_events_strike_each_world_within_their_interval_and_again_and_a
         assert gaps.max() <= 1.0 + 1e-5
         assert len(gaps) >= 4
     first = struck.to(torch.int8).argmax(dim=0)
-    assert first.unique().numel() > 10  # not all worlds at once
+    assert first.unique().numel() > 10  # not all envs at once
 
 
 def test_interval_events_are_not_called_where_nobody_is_known_to_be_due(make_env):
@@ -77,7 +77,7 @@ def test_an_interval_counts_whole_control_steps(make_env, dt, steps):
     assert (struck[:, 0].nonzero().flatten() + 1).tolist() == [steps, 2 * steps, 3 * steps]
 
 
-def test_stateful_events_are_reset_with_the_worlds_and_can_be_had_by_name(env, mask):
+def test_stateful_events_are_reset_with_the_envs_and_can_be_had_by_name(env, mask):
     class Wind(StatefulTerm):
         def __init__(self, env, force):
             self.force, self.forgotten = force, []

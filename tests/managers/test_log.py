@@ -16,13 +16,13 @@ def log() -> Log:
     return Log(torch.device("cpu"))
 
 
-def test_a_mean_runs_over_all_worlds_and_all_additions(log):
+def test_a_mean_runs_over_all_envs_and_all_additions(log):
     log.add("speed", torch.tensor([1.0, 2.0]))
     log.add("speed", torch.tensor([3.0, 6.0]))
     assert log.flush() == {"speed": 3.0}
 
 
-def test_only_worlds_in_the_mask_count(log):
+def test_only_envs_in_the_mask_count(log):
     log.add("length", torch.tensor([10, 20, 30]), torch.tensor([True, False, True]))
     log.add("length", torch.tensor([90, 90, 90]), torch.tensor([False, False, False]))
     assert log.flush() == {"length": 20.0}

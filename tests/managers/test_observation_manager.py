@@ -101,7 +101,7 @@ def test_history_stands_term_by_term_with_the_oldest_first(env):
 
 
 @pytest.mark.parametrize("known_rows", [lambda mask: slice(None), lambda mask: mask.nonzero().squeeze(1)])
-def test_a_world_that_starts_anew_gets_a_history_of_its_first_frame_and_the_others_keep_theirs(env, mask, known_rows):
+def test_an_env_that_starts_anew_gets_a_history_of_its_first_frame_and_the_others_keep_theirs(env, mask, known_rows):
     env.sim = SimpleNamespace(known_empty=lambda mask: False, known_rows=known_rows)
     observations = manager(env, history=3, speed=ObservationTermCfg(speed))
     for t in (1.0, 2.0, 3.0):
@@ -133,7 +133,7 @@ def test_tensors_are_fresh_each_step_and_never_written_again(env, history):
     assert env.speed.tolist() == [[1.0]] * N
 
 
-def test_stateful_terms_are_reset_for_the_worlds_in_the_mask_alone(env, mask):
+def test_stateful_terms_are_reset_for_the_envs_in_the_mask_alone(env, mask):
     class Steps(StatefulTerm):
         def __init__(self, env):
             self.steps = env.zeros(1)

@@ -60,7 +60,7 @@ def test_nothing_is_logged_when_no_episode_ends(env, mask):
     assert env.log.flush() == {}
 
 
-def test_stateful_rewards_are_reset_with_their_worlds(env, mask):
+def test_stateful_rewards_are_reset_with_their_envs(env, mask):
     class Last(StatefulTerm):
         def __init__(self, env):
             self.value = env.zeros()

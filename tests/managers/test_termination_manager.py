@@ -64,7 +64,7 @@ def test_without_terms_nothing_ends(env):
     assert terminations.compute().tolist() == [False] * N
 
 
-def test_stateful_terminations_are_reset_with_their_worlds(env, mask):
+def test_stateful_terminations_are_reset_with_their_envs(env, mask):
     class Thrice(StatefulTerm):
         def __init__(self, env):
             self.count = env.zeros()

@@ -92,18 +92,20 @@ def test_a_reset_of_no_world_changes_nothing(simulation: Simulation) -> None:
 
 
 @few_examples
-@given(angle=floats(-1.5, 1.5), speed=floats(-2, 2), depth=floats(0, 0.004))
-def test_readings_after_a_reset_are_those_of_mj_forward(
-    simulation: Simulation, angle: float, speed: float, depth: float
+@given(angle=floats(-1.5, 1.5), speed=floats(-2, 2), depth=floats(0, 0.004), held=floats(-1, 1), lift=floats(-5, 5))
+def test_readings_after_a_reset_are_those_of_mj_forward_under_the_controls_and_wrenches_that_are_given(
+    simulation: Simulation, angle: float, speed: float, depth: float, held: float, lift: float
 ) -> None:
     model = simulation.model
     readings = {field: simulation.read(field) for field in READINGS}
     qpos, qvel = initial(model, simulation)
     qpos[:, 2] -= depth
     qpos[:, -1], qvel[:, -1] = angle, speed
-    simulation.reset(ALL, qpos, qvel)
+    ctrl, wrench = torch.full((N, model.nu), held), torch.zeros(N, model.nbody, 6)
+    wrench[:, model.body("box").id, 2] = lift
+    simulation.reset(ALL, qpos, qvel, ctrl, wrench)
     data = mujoco.MjData(model)
-    data.qpos, data.qvel = qpos[0].numpy(), qvel[0].numpy()
+    data.qpos, data.qvel, data.ctrl, data.xfrc_applied = (x[0].numpy() for x in (qpos, qvel, ctrl, wrench))
     mujoco.mj_forward(model, data)
     for field, reading in readings.items():
         expected = torch.tensor(getattr(data, field)).float()
