@@ -112,7 +112,7 @@ def test_an_unknown_parameter_names_the_term_and_the_nearest_parameter(make_env)
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), (0.0, float("nan")), {"low": [float("-inf")]}])
 def test_a_parameter_that_is_not_finite_is_named(make_env, value):
-    with pytest.raises(UserError, match=r"reward 'height': parameter 'target' is .*; it must be finite"):
+    with pytest.raises(UserError, match=r"reward 'height': target is .*; it must be finite"):
         bind("reward", "height", TermCfg(height, {"target": value}), make_env())
 
 

@@ -18,29 +18,6 @@ from robots.unitree_g1 import UNITREE_G1
 
 LITERAL, RELATIVE = "URL-Literal-Unitree-G1", "URL-TerrainRelative-Unitree-G1"
 
-WEIGHTS = {
-    "track_velocity": 1.0,
-    "track_yaw_rate": 0.5,
-    "alive": 0.15,
-    "lin_vel_z": -2.0,
-    "ang_vel_xy": -0.05,
-    "joint_vel": -1e-3,
-    "joint_acc": -2.5e-7,
-    "action_rate": -0.05,
-    "joint_limits": -5.0,
-    "energy": -2e-5,
-    "arm_deviation": -0.1,
-    "waist_deviation": -1.0,
-    "hip_deviation": -1.0,
-    "flat_orientation": -5.0,
-    "root_height": -10.0,
-    "gait": 0.5,
-    "foot_slide": -0.2,
-    "foot_clearance": 1.0,
-    "body_contact": -1.0,
-}
-"""Per second, as Unitree publishes them."""
-
 
 def standing(task: str, x: float, ground: float, root_height: float = 0.78) -> ManagerBasedRlEnv:
     """The task with its robots upright over ground that is `ground` m high everywhere, as the terms see it."""
@@ -59,12 +36,6 @@ def standing(task: str, x: float, ground: float, root_height: float = 0.78) -> M
 def earned(env: ManagerBasedRlEnv, name: str) -> float:
     env.rewards.compute(env.step_dt)
     return env.rewards.last[0, env.rewards.names.index(name)].item()
-
-
-@pytest.mark.parametrize("task", [LITERAL, RELATIVE])
-def test_the_rewards_are_the_published_ones(task: str) -> None:
-    cfg = build_task(task)
-    assert {name: term.weight for name, term in cfg.env.rewards.items()} == WEIGHTS
 
 
 @pytest.mark.parametrize("task", [LITERAL, RELATIVE])
@@ -109,7 +80,11 @@ def test_robot_ground_commands_randomisation_and_harness_are_those_of_stage_1() 
 
 def test_the_two_differ_in_heights_alone() -> None:
     literal, relative = (plain(build_task(task)) for task in (LITERAL, RELATIVE))
-    changed = {name for name in WEIGHTS if literal["env"]["rewards"][name] != relative["env"]["rewards"][name]}
+    changed = {
+        name
+        for name in literal["env"]["rewards"]
+        if literal["env"]["rewards"][name] != relative["env"]["rewards"][name]
+    }
     assert changed == {"root_height", "foot_clearance"}
     ends = literal["env"]["terminations"], relative["env"]["terminations"]
     assert {name for name in ends[0] if ends[0][name] != ends[1][name]} == {"root_too_low"}

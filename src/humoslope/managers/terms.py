@@ -134,7 +134,6 @@ def _check_params(where: str, term: TermCfg, env: Env, implicit: tuple[str, ...]
     missing = [n for n in accepted if signature[n].default is inspect.Parameter.empty and n not in params]
     if missing:
         raise UserError(f"{where}: parameter '{missing[0]}' of {getattr(func, '__name__', func)} has no value.")
-    ranges.check_fields(where, term)
     ranges.check_params(where, func, params, env)
 
 

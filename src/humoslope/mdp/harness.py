@@ -15,6 +15,7 @@ from torch import Tensor
 from humoslope.errors import UserError, require_not_negative, require_positive
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.managers.terms import StatefulTerm
+from humoslope.ranges import NotNegative
 from humoslope.slope import quaternion, zmp
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ class HarnessCurriculum(CurriculumTerm):
         event: str = "harness",
         rate: float = 0.0083,
         falls_per_second: float = 0.04,
-        speed_share: float = 0.7,
+        speed_share: NotNegative = 0.7,
         memory_s: float = 10.0,
     ) -> None:
         harness = env.events[event]
