@@ -1,4 +1,4 @@
-"""What a user did wrong, said in one sentence."""
+"""Mistakes of the user, each reported in one sentence."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import math
 from collections.abc import Iterable
 
 LISTED = 20
-"""Names that a message lists at most."""
+"""Largest number of names that a message lists."""
 
 
 class UserError(Exception):
-    """A mistake the user can put right. The command line prints its message alone and exits with code 2."""
+    """User error with a message of one sentence, which the command line prints alone before it exits with code 2."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
-    """The error for a name that is not in a registry or config, with the nearest match.
+    """Error for a name that is not in a registry or configuration, with the nearest match.
 
     Args:
-        kind: What was looked for, such as "task" or "terrain".
-        name: What the user wrote.
-        known: What there was to choose from.
+        kind: Kind of thing that was looked for, such as "task" or "terrain".
+        name: Name as the user wrote it.
+        known: Names that exist.
     """
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.4)
@@ -31,14 +31,14 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
 
 
 def require_positive(who: str, **values: float) -> None:
-    """Raises a `UserError` that names the first value of `who` that is not a positive number."""
+    """Raises a UserError for the first value that is not a positive number; `who` begins the message."""
     for name, value in values.items():
         if not 0.0 < value < math.inf:
             raise UserError(f"{who}: {name} is {value:g}; it must be positive.")
 
 
 def require_not_negative(who: str, **values: float) -> None:
-    """Raises a `UserError` that names the first value of `who` that is not a number from zero up."""
+    """Raises a UserError for the first value that is not a number of at least zero; `who` begins the message."""
     for name, value in values.items():
         if not 0.0 <= value < math.inf:
             raise UserError(f"{who}: {name} is {value:g}; it must be 0 or more.")

@@ -1,4 +1,4 @@
-"""Writing files so that a crash never leaves half of one."""
+"""Writing of files so that a crash never leaves half of one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from humoslope.errors import UserError
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Lets `write` fill a temporary file beside `path`, then puts it in place in one step."""
+    """Writes a file in one step: `write` fills a temporary file beside it, which then replaces it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
     os.close(handle)
@@ -28,10 +28,10 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Says before the work, and not after it, that a file cannot be written; makes nothing.
+    """Checks, before the work whose result it is for, that a file can be written; creates nothing.
 
     Raises:
-        UserError: If `path` is a folder, or its folder neither can be made nor written to.
+        UserError: If `path` is a folder, or its folder can neither be created nor written to.
     """
     if path.is_dir():
         raise UserError(f"'{path}' is a folder; name a file in it.")

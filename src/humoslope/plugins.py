@@ -1,4 +1,4 @@
-"""Folders in which every file registers something."""
+"""Packages in which every module registers something."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pkgutil import iter_modules
 
 
 def import_all(package: str, path: Iterable[str]) -> None:
-    """Imports every module of a package, so that a new file in its folder is enough to register what is in it.
+    """Imports every module of a package, so that its content is registered by the mere presence of a file.
 
     Args:
-        package: The package's `__name__`.
-        path: Its `__path__`.
+        package: `__name__` of the package.
+        path: `__path__` of the package.
     """
     for module in iter_modules(path):
         import_module(f"{package}.{module.name}")

@@ -1,4 +1,4 @@
-"""Scale presets: how large a task is trained on which machine."""
+"""Presets of scale: the size at which a task is trained on a kind of machine."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ Preset = Literal["auto", "cpu", "gpu"]
 
 
 def resolve_preset(preset: Preset) -> Literal["cpu", "gpu"]:
-    """The preset itself; for "auto", the one for what this machine has."""
+    """Returns the preset itself; for "auto", the one that fits this machine."""
     if preset == "auto":
         return "gpu" if torch.cuda.is_available() else "cpu"
     return preset
 
 
 def apply_preset(cfg: TaskCfg, preset: Literal["cpu", "gpu"]) -> None:
-    """Sets the scale of a task for a machine: worlds, network width, epochs and physics step;
-    never what is observed or rewarded.
+    """Sets the scale of a task for a machine: number of envs, physics step, width of networks and epochs.
+
+    Observations and rewards are the same in every preset.
 
     Raises:
         UserError: If the preset does not exist.
@@ -32,8 +33,8 @@ def apply_preset(cfg: TaskCfg, preset: Literal["cpu", "gpu"]) -> None:
         cfg.env.num_envs = 512
         # Evaluation stays at 5 ms.
         cfg.env.sim.timestep, cfg.env.sim.decimation = 0.01, 2
-        # Faster than the elliptic cone; `make bench ARGS="--env.sim.cone elliptic"` tells by how much. Along a ramp's
-        # axes both hold alike; between them the pyramid holds less, so that training is the harder of the two.
+        # Faster than the elliptic cone; `make bench ARGS="--env.sim.cone elliptic"` shows by how much. Along the
+        # axes of a ramp both hold alike; between them the pyramid holds less, so training is the harder of the two.
         cfg.env.sim.cone = "pyramidal"
     else:
         raise unknown("preset", preset, ("cpu", "gpu"))

@@ -55,7 +55,7 @@ _tasks: dict[str, TaskFunction] = {}
 
 
 def task(name: str) -> Callable[[TaskFunction], TaskFunction]:
-    """Registers the decorated function under `name`; its docstring's first line is what `humoslope list` prints.
+    """Registers the decorated function under `name`; `humoslope list` prints the first line of its docstring.
 
     Raises:
         UserError: If the name is taken.
@@ -71,7 +71,7 @@ def task(name: str) -> Callable[[TaskFunction], TaskFunction]:
 
 
 def build_task(name: str) -> TaskCfg:
-    """A fresh configuration of the task `name`.
+    """Returns a new configuration of the task `name`.
 
     Raises:
         UserError: If it does not exist.
@@ -82,19 +82,19 @@ def build_task(name: str) -> TaskCfg:
 
 
 def all_tasks() -> dict[str, str]:
-    """Names of the registered tasks, and a line on each."""
+    """Returns the names of the registered tasks, each with a line of description."""
     return {name: (func.__doc__ or "").strip().split("\n")[0] for name, func in sorted(_tasks.items())}
 
 
 def content_packages() -> tuple[str, ...]:
-    """The packages that hold registered tasks and what these are made of."""
+    """Returns the packages that hold registered tasks and the content that they use."""
     homes = (func.__module__.partition(".")[0] for func in _tasks.values())
     return tuple(dict.fromkeys(["tasks", "robots", "terrains", *homes]))
 
 
 def load_content() -> None:
-    """Imports the content of a checkout (its `terrains` and `tasks` folders)
-    and of installed packages (entry points `humoslope.tasks`)."""
+    """Imports the content of a checkout, its folders `terrains` and `tasks`, and of installed packages that have entry
+    points `humoslope.tasks`."""
     root = Path(humoslope.__file__).parents[2]
     if (root / "tasks" / "__init__.py").is_file():
         if str(root) not in sys.path:

@@ -1,4 +1,4 @@
-"""Configurations that refuse a mistyped field."""
+"""Configurations without room for mistyped fields."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from humoslope.errors import unknown
 
 
 class StrictCfg:
-    """Base of configuration dataclasses:
-    assigning to a field that does not exist is an error, with the nearest match."""
+    """Base of configuration dataclasses in which only declared fields can be assigned.
+
+    Raises:
+        UserError: At the assignment of another name, with the nearest match.
+    """
 
     def __setattr__(self, name: str, value: Any) -> None:
         names = [field.name for field in fields(self)]  # type: ignore[arg-type]

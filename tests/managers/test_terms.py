@@ -89,6 +89,24 @@ def test_terms_can_be_copied_deeply_and_pickled(terms):
         assert "swing" in terms
 
 
+def test_terms_are_a_dictionary_with_the_same_rules(terms):
+    assert dict(terms) == {"alive": terms.alive, "swing": terms.swing, "zmp": terms["zmp"]}
+    terms["pitch"] = RewardTermCfg(height)
+    assert terms.pitch is terms["pitch"]
+    terms["pitch"] = None
+    assert "pitch" not in terms
+    with pytest.raises(UserError, match="did you mean 'swing'"):
+        terms["swinng"] = None
+
+
+@pytest.mark.parametrize("name", ["items", "get", "ramp-up", "2nd", "__class__"])
+def test_a_name_that_could_not_be_read_as_an_attribute_is_refused(terms, name):
+    with pytest.raises(UserError, match=f"cannot be named '{name}'"):
+        terms[name] = RewardTermCfg(height)
+    with pytest.raises(UserError, match=f"cannot be named '{name}'"):
+        Terms(**{name: RewardTermCfg(height)})
+
+
 # Binding
 
 

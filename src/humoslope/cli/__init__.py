@@ -1,4 +1,4 @@
-"""The command line: one file per verb."""
+"""Command line, with one module for each verb."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ VERBS = {
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
     "evaluate": "Evaluate checkpoints on the held-out track.",
     "calibrate": "Fit the swing reference of Stage II to a Stage-I checkpoint.",
-    "table": "Print the paper's tables with the results of evaluations.",
+    "table": "Print the paper's tables beside the results of evaluations.",
     "figures": "Draw the results of evaluations.",
     "curve": "Draw the learning curve of a run.",
     "compare": "Compare training runs after equally many environment steps.",
-    "record": "Let a checkpoint walk once and keep the walk in a file.",
+    "record": "Record one walk of a checkpoint to a file.",
     "replay": "Show a recorded walk in rerun.",
     "video": "Make a video and a contact sheet of a recorded walk.",
     "meshes": "Fetch the real meshes of a robot, for replay and video.",
     "upgrade": "Rewrite a checkpoint of an older version in the format of this one.",
     "export": "Export a checkpoint to ONNX and a contract.",
-    "play": "Walk with an exported policy in plain MuJoCo.",
+    "play": "Run an exported policy in plain MuJoCo.",
     "bench": "Measure speed and memory.",
     "check": "Check that an installation is right and fast, on a GPU or a CPU.",
 }
@@ -33,7 +33,7 @@ VERBS = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs a verb. A user's mistake is one sentence on the error stream and exit code 2."""
+    """Runs a verb and returns its exit code: 2 for a mistake of the user, which is reported in one sentence."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help"):
         _print_help()
@@ -57,6 +57,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _print_help() -> None:
     width = max(map(len, VERBS))
-    print("humoslope VERB [...]; humoslope VERB --help tells more.\n")
+    print("humoslope VERB [...]; humoslope VERB --help lists its options.\n")
     for verb, line in VERBS.items():
         print(f"  {verb:<{width}}  {line}")

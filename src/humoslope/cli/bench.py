@@ -101,7 +101,7 @@ def _measure(task: str, typed: list[str], worlds: int) -> Measurement:
 
 
 def speed_table(results: list[Measurement], preset: Preset) -> Table:
-    """A row for each number of worlds."""
+    """Table of speed and memory with a row for each number of envs."""
     reference = next((r for r in results if r.worlds == 256), results[0])
     caption = (
         f"collect, learn: ms of a PPO iteration. cost: of one world's env.step, relative to {reference.worlds} worlds."
@@ -130,7 +130,7 @@ def speed_table(results: list[Measurement], preset: Preset) -> Table:
 
 
 def descriptor_table(results: list[Measurement]) -> Table:
-    """What the terrain descriptor costs; it is measured by itself, whether or not the task reads it."""
+    """Table of the cost of the terrain descriptor, which is measured even if the task does not read it."""
     title = "Scan and terrain descriptor"
     table = Table("worlds", "ms a step", "of raw", title=title, caption="of raw: share of the bare physics' step")
     for r in results:
@@ -140,7 +140,7 @@ def descriptor_table(results: list[Measurement]) -> Table:
 
 
 def parts_table(results: list[Measurement]) -> Table:
-    """Where the time of `env.step` goes, at 512 worlds or the nearest to it that was measured."""
+    """Table of the shares of time in `env.step`, at the measured number of envs that is nearest to 512."""
     result = min(results, key=lambda r: abs(r.worlds - 512))
     table = Table("part", "share", title=f"env.step with {result.worlds} worlds")
     for part, share in result.parts.items():

@@ -1,4 +1,4 @@
-"""What the verbs that let a trained policy walk have in common."""
+"""Parts that all verbs share in which a trained policy walks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from humoslope.provenance import git_state, plain
 from humoslope.registry import TaskCfg, load_content
 
 MEASURED = ("actions", "command", "observations", "terminations", "events")
-"""What the written figures say of the environment."""
+"""Parts of the environment's configuration that are written with results."""
 
 
 def trained(checkpoint: Path) -> tuple[Provenance, TaskCfg]:
@@ -45,7 +45,7 @@ def trained(checkpoint: Path) -> tuple[Provenance, TaskCfg]:
 
 
 def introduce(console: Console, env: ManagerBasedRlEnv, provenance: Provenance, protocol: RampProtocol) -> None:
-    """Says who walks where."""
+    """Prints which checkpoint walks on which ground, in which physics."""
     sim, seen = env.cfg.sim, f"{provenance.total_steps / 1e6:.2f} M steps"
     friction = f"friction max({protocol.friction:g}, tan|grade| + {protocol.friction_margin:g})"
     console.print(
@@ -61,7 +61,7 @@ def introduce(console: Console, env: ManagerBasedRlEnv, provenance: Provenance, 
 
 @contextmanager
 def walking(console: Console, env: ManagerBasedRlEnv, seconds: float) -> Iterator[Callable[[], None]]:
-    """Shows how far `seconds` of walking are; gives what to call after every control step."""
+    """Shows the progress through `seconds` of walking; yields a function to call after every control step."""
     columns = (
         TextColumn("walking"),
         BarColumn(),
@@ -80,7 +80,7 @@ def walking(console: Console, env: ManagerBasedRlEnv, seconds: float) -> Iterato
 
 
 def warn(console: Console, warnings: list[str]) -> None:
-    """Prints what the physics complained of."""
+    """Prints the warnings of the physics."""
     for warning in warnings:
         console.print(f"[yellow]physics: {warning}[/yellow]")
 
@@ -93,12 +93,12 @@ def describe(
     warnings: list[str],
     command: list[str],
 ) -> dict[str, Any]:
-    """Where figures come from, as JSON types.
+    """Returns the origin of results, as JSON types.
 
     Args:
-        took: Seconds of walking.
-        warnings: What the physics complained of.
-        command: Verb and arguments.
+        took: Duration of the walks in real time, s.
+        warnings: Warnings of the physics.
+        command: Verb with its arguments.
     """
     checkpoint = plain(provenance)
     harness = checkpoint.pop("harness")

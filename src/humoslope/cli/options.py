@@ -84,7 +84,7 @@ def early(own: A, task: str, options: list[str], verb: str = "train") -> A:
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """The scale alone, for who reads the options that a run was started with."""
+    """Options of a verb that has none but the scale."""
 
     preset: Preset = "auto"
 

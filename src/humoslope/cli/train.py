@@ -31,7 +31,7 @@ ONCE = ("--resume", "--run-dir", "--init", "--calibration")
 
 @dataclasses.dataclass(frozen=True)
 class TrainArgs:
-    """Where and how to train.
+    """Trains a task in a run folder, or continues a run.
 
     Attributes:
         preset: Scale of the training; "auto" for the one that fits the machine.

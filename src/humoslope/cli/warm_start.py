@@ -1,4 +1,4 @@
-"""What a new run starts from: for a later stage, the earlier one's checkpoint and the swing calibration of it."""
+"""Start of a new run: for a later stage, the checkpoint of the earlier one and its swing calibration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PRIOR = "prior"
 
 @dataclass(frozen=True)
 class Origin:
-    """What a new run starts from.
+    """Start of a new run.
 
     Attributes:
         parent: The checkpoint whose actor it takes; None to start from nothing.
@@ -33,7 +33,7 @@ class Origin:
 
 
 def find_origin(start: WarmStartCfg | None, init: str, calibration: str) -> Origin:
-    """What a run of a task with `start` begins with.
+    """Finds the start of a new run of a task.
 
     Args:
         start: The task that it goes on from; None if it needs no other.
