@@ -31,7 +31,7 @@ class PaperRow:
     max_grade: float | None = None
 
     def matches(self, result: Result) -> bool:
-        """Whether one of our results is compared with this row, by its task or by the name it was given."""
+        """True if one of our results is compared with this row, by its task or by the name it was given."""
         return result.task in self.tasks if result.name == result.task else result.name == self.name
 
 

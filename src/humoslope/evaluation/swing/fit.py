@@ -60,7 +60,7 @@ class Bin:
         count: Number of samples.
         slope: Mean slope of the samples, rad; the centre if there are none.
         flexion: Percentile of their hip flexion, rad; None if there are none.
-        used: Whether there are enough samples for the fit.
+        used: True if there are enough samples for the fit.
     """
 
     centre: float

@@ -76,7 +76,9 @@ class Progress:
         took = time.monotonic() - self._started
         rate = (done - self._first) / took if took > 0.0 else 0.0
         left = _clock((1.0 - done) / rate) if rate > 0.0 else "-"
-        words = f"{100.0 * done:.0f} %  {self.simulated / took if took else 0.0:,.0f} s walked per second, left {left}"
+        words = (
+            f"{100.0 * done:.0f} %  {self.simulated / took if took else 0.0:,.0f} simulated s per second, left {left}"
+        )
         grid = Table.grid(padding=(0, 2))
         grid.add_row(ProgressBar(total=1.0, completed=done, width=30), Text(words))
         return grid
