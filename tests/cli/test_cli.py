@@ -55,7 +55,11 @@ def test_a_user_sees_one_sentence_and_exit_code_2(folder):
     ("verb", "options", "written"),
     [
         ("ramps", ["--starts", "1", "--seconds", "0.1", "--grades", "0"], "ramps.json"),
-        ("evaluate", ["--trials", "1", "--grades", "0", "--lanes", "1", "--timeout-s", "0.1"], "heldout.json"),
+        (
+            "evaluate",
+            ["--trials", "1", "--grades", "0", "--parallel-trials", "1", "--timeout-s", "0.1"],
+            "heldout.json",
+        ),
         ("record", ["--terrain", "ramp-up", "--grade", "5", "--seconds", "0.1"], "ramp-up-5.rollout.npz"),
     ],
 )

@@ -78,7 +78,7 @@ def test_what_was_walked_is_not_walked_again_unless_asked_for(
     anew, printed = evaluate("--fresh")
     assert "continues with" not in printed
     assert figures(anew) == figures(first)
-    monkeypatch.setattr(Progress, "step", lambda self, worlds: pytest.fail("walked again"))
+    monkeypatch.setattr(Progress, "step", lambda self, envs: pytest.fail("walked again"))
     again, printed = evaluate()
     assert figures(again) == figures(first)
     assert again["wall_clock_s"] >= anew["wall_clock_s"] > 0.0  # what was walked before has taken its time
@@ -94,8 +94,8 @@ def test_an_interrupted_evaluation_says_that_it_is_partial_and_goes_on_to_the_sa
     whole, _ = evaluate("--fresh")
     steps = []
 
-    def interrupt(self: Progress, worlds: int) -> None:
-        steps.append(worlds)
+    def interrupt(self: Progress, envs: int) -> None:
+        steps.append(envs)
         if len(steps) == 70:
             signal.raise_signal(number)
 
@@ -116,7 +116,7 @@ def test_an_interrupted_evaluation_says_that_it_is_partial_and_goes_on_to_the_sa
 def test_an_evaluation_that_is_stopped_at_once_leaves_a_partial_result_of_nothing(
     evaluate: Callable[..., tuple[dict[str, Any], str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Progress, "step", lambda self, worlds: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(Progress, "step", lambda self, envs: signal.raise_signal(signal.SIGINT))
     report, printed = evaluate(code=130)
     assert (report["partial"], report["finished"], report["cells"]) == (True, 0, [])
     assert "Partial: 0 of 4 trials" in printed

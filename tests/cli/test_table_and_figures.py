@@ -41,7 +41,7 @@ def test_a_method_can_be_given_the_name_of_a_row_of_the_paper(folder, capsys):
 
 def test_an_evaluation_leaves_tables_and_what_they_can_be_made_of_again(untrained, tmp_path, capsys):
     out = tmp_path / "look"
-    few = ["--grades", "0", "20", "--tiers", "0.6", "--trials", "1", "--lanes", "1", "--timeout-s", "1.4"]
+    few = ["--grades", "0", "20", "--tiers", "0.6", "--trials", "1", "--parallel-trials", "1", "--timeout-s", "1.4"]
     assert main(["evaluate", str(untrained), *few, "--out", str(out)]) == 0
     assert "paper: Ours" in capsys.readouterr().out
     cells = list(csv.DictReader((tmp_path / "look.csv").read_text().splitlines()))

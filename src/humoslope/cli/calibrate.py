@@ -18,7 +18,7 @@ from humoslope.evaluation.ramps import ramp_env_cfg
 from humoslope.evaluation.swing.figure import draw
 from humoslope.evaluation.swing.file import calibration_path, write_calibration
 from humoslope.evaluation.swing.fit import Fit, SwingFit, gather, solve, table
-from humoslope.evaluation.swing.walk import SwingProtocol, walk
+from humoslope.evaluation.swing.samples import SwingProtocol, collect_samples
 from humoslope.files import check_place
 from humoslope.learning.policy import load_actor, read_spec
 from humoslope.mdp.selection import joint_pair
@@ -66,7 +66,7 @@ def run(arguments: list[str]) -> None:
     introduce(console, env, provenance, protocol)
     started = time.monotonic()
     with walking(console, env, protocol.seconds) as on_step:
-        samples = walk(env, actor, protocol, on_step)
+        samples = collect_samples(env, actor, protocol, on_step)
     took = time.monotonic() - started
 
     warnings = env.sim.warnings()

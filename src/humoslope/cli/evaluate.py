@@ -33,7 +33,7 @@ class Options(Kind):
     """Lets a trained policy walk the held-out track at every grade and friction, and writes the paper's figures of it.
 
     With several checkpoints of one method their trials are pooled. Finished trials are kept: an evaluation that was
-    interrupted goes on when the same command is given again, and one with more --trials builds on one with fewer.
+    interrupted continues when the same command is given again, and one with more --trials builds on one with fewer.
 
     Attributes:
         checkpoints: Checkpoints of one method; a run folder stands for its newest one.

@@ -100,7 +100,7 @@ class RampProtocol:
 
     @property
     def standing(self) -> bool:
-        """Whether the robot is commanded to stand."""
+        """True if the robot is commanded to stand."""
         return self.speed == 0.0
 
     @property

@@ -98,8 +98,9 @@ def test_a_list_is_no_calibration_and_a_missing_file_says_how_to_make_one(tmp_pa
 
 
 def test_a_calibration_belongs_to_the_policy_it_was_made_from_wherever_that_lies_now() -> None:
-    check_belongs(META, Path("elsewhere/best.pt"), SHA)
+    check_belongs(META, Path("elsewhere/best.pt"), (SHA,))
+    check_belongs(META, Path("elsewhere/converted.pt"), (64 * "1", SHA))
     with pytest.raises(UserError) as caught:
-        check_belongs(META, Path("runs/model_8.pt"), 64 * "1")
+        check_belongs(META, Path("runs/model_8.pt"), (64 * "1",))
     assert "made from checkpoint 'runs/model_7.pt' (sha256 c4edf1c2d3e8)" in str(caught.value)
     assert "not from 'runs/model_8.pt' (111111111111)" in str(caught.value)

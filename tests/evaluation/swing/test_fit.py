@@ -15,7 +15,7 @@ from rich.console import Console
 
 from humoslope.errors import UserError
 from humoslope.evaluation.swing.fit import LEAST_LEVEL, LEAST_UPHILL, Fit, SwingFit, gather, solve, table
-from humoslope.evaluation.swing.walk import SwingSamples
+from humoslope.evaluation.swing.samples import SwingSamples
 from humoslope.slope.swing import SwingCalibration
 from humoslope.statistics import Array
 
@@ -25,7 +25,7 @@ TRUE = SwingCalibration(0.5, 0.8, math.radians(30.0))
 
 
 def samples_of(slope: Array, flexion: Array) -> SwingSamples:
-    return SwingSamples(slope, flexion, np.zeros(len(slope), dtype=np.int64))
+    return SwingSamples(slope, flexion)
 
 
 def target(calibration: SwingCalibration, slope: Array) -> Array:

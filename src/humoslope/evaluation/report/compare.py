@@ -1,4 +1,4 @@
-"""How far several training runs have come after equally many environment steps."""
+"""Comparison of training runs after the same number of environment steps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from humoslope.evaluation.report.curve import STEPS, Curve, read_curves
 from humoslope.evaluation.report.table import Column, Row, Sheet
 
 WINDOW = 0.1
-"""Share of the steps, up to where runs are compared, over which a figure is averaged."""
+"""Share of the steps before the comparison over which a figure is averaged."""
 
 MEASURES = {
     "Train/reward": Column("reward", "per s"),
@@ -23,13 +23,13 @@ MEASURES = {
 
 
 def compare(runs: Sequence[Path], options: Sequence[Sequence[str]], at: float = 0.0) -> Sheet:
-    """A table of runs, each averaged over the last tenth of the steps before `at`.
+    """Table of runs, each averaged over the last tenth of the steps before `at`.
 
     Args:
-        runs: Their folders.
-        options: What each was started with, one word group (such as "--env.seed 2") after the other. Those that not all
-            runs have in common stand beside a run's name.
-        at: Environment steps; 0 for as many as the shortest run has.
+        runs: Run folders.
+        options: Options of each run, such as "--env.seed 2". Options that the runs do not all share are shown beside a
+            run's name.
+        at: Environment steps; 0 for those of the shortest run.
 
     Raises:
         UserError: If a run has no curves, or is shorter than `at`.
@@ -61,7 +61,7 @@ def compare(runs: Sequence[Path], options: Sequence[Sequence[str]], at: float = 
 
 
 def shortened(options: Sequence[str], most: int = 2) -> str:
-    """The first options; how many there are besides."""
+    """The first options, and the number of the others."""
     return " ".join([*options[:most], f"and {len(options) - most} more"] if len(options) > most else options)
 
 

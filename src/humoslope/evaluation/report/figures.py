@@ -49,7 +49,7 @@ def draw_all(results: Sequence[Result], folder: Path, grade: float) -> list[Path
     """
     walked = [result for result in results if result.grades]
     if not walked:
-        raise UserError("there is nothing to draw: these results hold no walk on the track, only sweeps.")
+        raise UserError("there is nothing to draw: these results hold no trials on the track, only sweeps.")
     drawings: dict[str, Callable[[Figure], None]] = {
         "com_height": partial(com_height_by_grade, walked),
         "success": partial(success_by_grade, walked),

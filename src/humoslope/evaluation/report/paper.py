@@ -1,4 +1,4 @@
-"""The paper's tables, as printed: numbers that ours stand beside and are never mixed with."""
+"""The paper's tables as printed, for comparison; their numbers are never mixed with ours."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from humoslope.errors import UserError
 from humoslope.evaluation.report.results import Result
 
 FILE = Path(humoslope.__file__).parents[2] / "experiments" / "paper.json"
-"""In a checkout; an installed package has no tables of the paper to show."""
+"""Path in a checkout; an installed package does not contain the paper's tables."""
 
 
 @dataclass(frozen=True)
@@ -19,10 +19,10 @@ class PaperRow:
     """A row of one of the paper's tables.
 
     Attributes:
-        name: The method's, as printed.
-        tasks: Which of ours it is compared with.
-        grades: Figures by grade in degrees, "sr" in percent, "mxd" in m, "t_trav" in s, ...; None where it has a dash.
-        max_grade: Degrees; None in a table without that column.
+        name: Name of the method, as printed.
+        tasks: Our tasks that it is compared with.
+        grades: Figures by grade in degrees, "sr" in percent, "mxd" in m, "t_trav" in s, ...; None for a dash.
+        max_grade: Steepest grade, degrees; None in a table without that column.
     """
 
     name: str
@@ -31,7 +31,7 @@ class PaperRow:
     max_grade: float | None = None
 
     def matches(self, result: Result) -> bool:
-        """Whether the row is what a result of ours is compared with: by its task, or by the name it was given."""
+        """True if one of our results is compared with this row, by its task or by the name it was given."""
         return result.task in self.tasks if result.name == result.task else result.name == self.name
 
 
@@ -42,7 +42,7 @@ class Paper:
     Attributes:
         main: Table 1, methods on tracks of four grades.
         ablation: Table 2, variants on the track of one grade.
-        ablation_grade: That grade, degrees.
+        ablation_grade: Grade of table 2, degrees.
     """
 
     main: tuple[PaperRow, ...] = ()
@@ -51,7 +51,7 @@ class Paper:
 
 
 def read_paper(path: Path = FILE) -> Paper:
-    """The tables in a file; empty ones if it does not exist.
+    """Tables from a file; empty ones if it does not exist.
 
     Raises:
         UserError: If it cannot be read.
@@ -59,8 +59,8 @@ def read_paper(path: Path = FILE) -> Paper:
     if not path.is_file():
         return Paper()
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        grade = float(told["ablation"]["grade"])
+        tables = json.loads(path.read_text(encoding="utf-8"))
+        grade = float(tables["ablation"]["grade"])
         return Paper(
             main=tuple(
                 PaperRow(
@@ -69,7 +69,7 @@ def read_paper(path: Path = FILE) -> Paper:
                     {float(g): figures for g, figures in row["grades"].items()},
                     row["max_grade"],
                 )
-                for row in told["main"]
+                for row in tables["main"]
             ),
             ablation=tuple(
                 PaperRow(
@@ -77,7 +77,7 @@ def read_paper(path: Path = FILE) -> Paper:
                     tuple(row["tasks"]),
                     {grade: {key: value for key, value in row.items() if key not in ("name", "tasks")}},
                 )
-                for row in told["ablation"]["rows"]
+                for row in tables["ablation"]["rows"]
             ),
             ablation_grade=grade,
         )

@@ -72,7 +72,7 @@ class Training:
 
 @dataclass(frozen=True)
 class TrialSetup:
-    """What the trials on a track were asked to do.
+    """Assignment of the trials on a track.
 
     Attributes:
         speed: Commanded forward speed along the ground, m/s.
@@ -112,12 +112,12 @@ class Result:
         task: Task that was trained.
         training: Training of each checkpoint whose trials are pooled here.
         finished, trials: Trials that are done, and trials in all.
-        setup: What the trials on the track were asked to do; None for a sweep alone.
+        setup: Assignment of the trials on the track; None for a sweep alone.
         grades: Results by grade, in rising order.
         cells: Results by grade and tier; those of a sweep only if there are no trials on the track.
         limit: Steepest grade of the slope-limit sweep, degrees; None if there was no sweep, or no grade was mastered.
-        swept: Whether there was a sweep.
-        beyond: Whether the limit may lie higher than the sweep went.
+        swept: True if there was a sweep.
+        beyond: True if the limit may lie above the steepest grade of the sweep.
     """
 
     name: str
@@ -144,7 +144,7 @@ class Result:
 
     @property
     def partial(self) -> bool:
-        """Whether trials are missing."""
+        """True if trials are missing."""
         return self.finished < self.trials
 
     def at(self, grade: float) -> Grade | None:

@@ -29,7 +29,7 @@ class Column:
         unit: Unit of its figures; "" if they have none.
         digits: Number of decimals.
         group: Heading over several columns, such as a grade, that tells columns of one label apart.
-        interval: Whether our figures have bounds, i.e. are proportions or averages.
+        interval: True if our figures have bounds, i.e. are proportions or averages.
     """
 
     label: str
@@ -54,7 +54,7 @@ class Row:
         values: One figure for each column; a proportion is shown in percent.
         source: "ours" if measured here, "paper" if printed in the paper, "reference" if computed to compare with.
         partial: How much has been measured, if not all.
-        more: Whether it is a further row of the method above, whose name is not repeated on the screen.
+        more: True for a further row of the method above, whose name is not repeated on the screen.
     """
 
     name: str

@@ -1,1 +1,1 @@
-"""The swing calibration: walked on ramps, fitted, written and drawn."""
+"""The swing calibration: its samples on ramps, its fit, its file and its figure."""

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from humoslope.evaluation.swing.fit import Fit, SwingFit
-from humoslope.evaluation.swing.walk import SwingSamples
+from humoslope.evaluation.swing.samples import SwingSamples
 from humoslope.plotting import INK, dress, new_figure, save_figure
 from humoslope.slope.swing import PRIOR, SwingCalibration
 from humoslope.statistics import Array

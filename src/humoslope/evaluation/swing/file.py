@@ -1,4 +1,4 @@
-"""The calibration as a file: what Stage II reads, and the check that it belongs to the checkpoint it starts from."""
+"""Calibration files, which Stage II reads, and the check that one belongs to the checkpoint of Stage I."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FORMAT = 1
 
 
 def calibration_path(checkpoint: Path) -> Path:
-    """Where the calibration of a checkpoint is looked for: beside it."""
+    """Path of a checkpoint's calibration, beside the checkpoint."""
     return checkpoint.with_suffix(".swing.json")
 
 
@@ -31,7 +31,7 @@ def write_calibration(path: Path, found: SwingFit, meta: dict[str, Any]) -> None
     (rad) and whether it was `used`; and `meta`.
 
     Args:
-        meta: Where it comes from; `meta["checkpoint"]` must hold the checkpoint's `path` and `sha256`.
+        meta: Provenance; `meta["checkpoint"]` must hold the checkpoint's `path` and `sha256`.
     """
     bins = [
         dataclasses.asdict(b) | {"residual": residual} for b, residual in zip(found.bins, found.residuals, strict=True)
@@ -50,10 +50,10 @@ def write_calibration(path: Path, found: SwingFit, meta: dict[str, Any]) -> None
 
 
 def load_calibration(path: Path) -> tuple[SwingCalibration, dict[str, Any]]:
-    """The coefficients of a calibration file, and everything in it.
+    """Coefficients of a calibration file, and all of its contents.
 
     Raises:
-        UserError: If the file is missing, broken, no calibration, or of another format.
+        UserError: If the file is missing, broken, not a calibration, or of another format.
     """
     if not path.is_file():
         raise UserError(f"calibration '{path}' does not exist; `humoslope calibrate CHECKPOINT` makes one.")
@@ -76,14 +76,14 @@ def load_calibration(path: Path) -> tuple[SwingCalibration, dict[str, Any]]:
 
 
 def check_belongs(meta: dict[str, Any], checkpoint: Path, known_as: tuple[str, ...]) -> None:
-    """Says that a calibration was made from another policy than `checkpoint`.
+    """Checks that a calibration was made from `checkpoint`.
 
     Args:
         meta: From `load_calibration`.
         known_as: SHA-256 of the checkpoint file, hexadecimal, and of files that it was converted from.
 
     Raises:
-        UserError: If it was.
+        UserError: If it was made from another policy.
     """
     made_from = meta["checkpoint"]
     if made_from["sha256"] not in known_as:

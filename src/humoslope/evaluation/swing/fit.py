@@ -1,5 +1,5 @@
-"""The fit of the swing reference: an upper percentile of hip flexion in every bin of slopes, and the paper's equation
-through them by least squares."""
+"""Fit of the swing reference: an upper percentile of hip flexion in every bin of slopes, and the paper's equation
+through these by least squares."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from rich.table import Table
 from scipy.stats import linregress
 
 from humoslope.errors import UserError
-from humoslope.evaluation.swing.walk import SwingSamples
+from humoslope.evaluation.swing.samples import SwingSamples
 from humoslope.slope.swing import PRIOR, SwingCalibration
 
 LEAST_LEVEL = 1
-"""Bins at or below zero slope that a fit needs: they say where the line starts."""
+"""Bins at or below zero slope that a fit needs: they determine where the line starts."""
 LEAST_UPHILL = 3
-"""Bins above zero slope that a fit needs: two would make a line, the third says whether it is one."""
+"""Bins above zero slope that a fit needs: two determine a line, a third tests it."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How samples become coefficients.
+    """Settings of the fit.
 
     Attributes:
-        percentile: Percentile of hip flexion that stands for a bin. The paper says "upper" and no number; 90 is ours: a
-            peak is wanted, and a maximum would be an outlier.
-        bin_width: Degrees of slope; bins are centred on its multiples. Ours.
-        least_samples: A bin with fewer is left out. 500 are some eighty swings. Ours.
-        theta_clip: Degrees from which on the reference stays level; not fitted. 30: the steepest grade of the paper's
-            benchmark.
+        percentile: Percentile of hip flexion within a bin. The paper says "upper" without a number; 90 is ours: a peak
+            is wanted, and the maximum would be an outlier.
+        bin_width: Width of a bin of slopes, degrees; bins are centred on its multiples. Ours.
+        least_samples: Samples below which a bin is left out. 500 are some eighty swings. Ours.
+        theta_clip: Slope above which the reference stays level, degrees; not fitted. 30 is the steepest grade of the
+            paper's benchmark.
     """
 
     percentile: float = 90.0
@@ -56,11 +56,11 @@ class Bin:
     """Samples of about the same slope.
 
     Attributes:
-        centre: Degrees.
-        count: Samples.
-        slope: Their mean slope, rad; the centre if there are none.
-        flexion: The percentile of their hip flexion, rad; None if there are none.
-        used: Whether there are enough of them for the fit.
+        centre: Centre of the bin, degrees.
+        count: Number of samples.
+        slope: Mean slope of the samples, rad; the centre if there are none.
+        flexion: Percentile of their hip flexion, rad; None if there are none.
+        used: True if there are enough samples for the fit.
     """
 
     centre: float
@@ -72,15 +72,15 @@ class Bin:
 
 @dataclass(frozen=True)
 class SwingFit:
-    """Fitted coefficients and how well they fit.
+    """Fitted coefficients and the quality of the fit.
 
     Attributes:
-        calibration: The coefficients.
-        beta0_error, beta1_error: Their standard errors by the scatter of the bins about the fit, rad and rad/rad. They
-            hold what the equation cannot follow, and are no statement on another policy.
+        calibration: Coefficients.
+        beta0_error, beta1_error: Standard errors from the scatter of the bins about the fit, rad and rad/rad. They
+            reflect how well the equation fits this policy, and say nothing about another one.
         bins: All bins, by slope.
-        residuals: Flexion of each bin less what the fit says there, rad; None where a bin is empty.
-        rms_residual: Over the bins that were used, rad.
+        residuals: Flexion of each bin less the fit, rad; None where a bin is empty.
+        rms_residual: Root mean square residual of the used bins, rad.
     """
 
     calibration: SwingCalibration
@@ -92,13 +92,13 @@ class SwingFit:
 
     @property
     def worst(self) -> tuple[float, float]:
-        """The largest residual of the bins that were used, rad, and the centre of its bin, degrees."""
+        """Largest residual of the used bins, rad, and the centre of its bin, degrees."""
         used = [(r, b.centre) for b, r in zip(self.bins, self.residuals, strict=True) if b.used and r is not None]
         return max(used, key=lambda pair: abs(pair[0]))
 
 
 def gather(samples: SwingSamples, fit: Fit, grades: Sequence[float] = ()) -> tuple[Bin, ...]:
-    """The bins that hold samples, and those of `grades` in degrees even if they are empty; by slope."""
+    """Bins that hold samples and, even if empty, those of `grades` in degrees; by slope."""
     number = np.floor(np.degrees(samples.slope) / fit.bin_width + 0.5).astype(np.int64)
     wanted = {math.floor(grade / fit.bin_width + 0.5) for grade in grades}
     bins = []
@@ -118,10 +118,10 @@ def gather(samples: SwingSamples, fit: Fit, grades: Sequence[float] = ()) -> tup
 
 
 def solve(bins: Sequence[Bin], fit: Fit) -> SwingFit:
-    """The least-squares fit of the paper's equation to the bins with enough samples.
+    """Least-squares fit of the paper's equation to the bins with enough samples.
 
-    The equation is level at and below zero slope and above theta_clip, so bins there count towards it with the clipped
-    slope: those of descents all say what beta0 is. Every bin weighs the same, however many samples it has.
+    The equation is level at and below zero slope and above theta_clip, so bins there enter with the clipped slope:
+    those of descents all determine beta0. Every bin has the same weight, however many samples it has.
 
     Raises:
         UserError: If too few bins have enough samples.
@@ -161,7 +161,7 @@ def _residual(b: Bin, calibration: SwingCalibration) -> float | None:
 
 
 def table(bins: Sequence[Bin], fit: Fit, found: SwingFit | None) -> Table:
-    """The bins as a table, with their residuals if there is a fit."""
+    """Table of the bins, with their residuals if there is a fit."""
     table = Table(title="Hip flexion in swing", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     for column in ("slope\n°", "\nsamples", f"p{fit.percentile:g}\nrad", "residual\nrad"):
         table.add_column(column, justify="right", no_wrap=True)

@@ -85,7 +85,7 @@ class Metric:
             after `SETTLE_S`; "integral" is over the time between the first and the last sample (in the sample's unit
             times s); "max" is over all samples.
         reduce: Figure of a set of trials; None for a metric that is recorded for others to use and not reported.
-        interval: Whether the figure has bounds, i.e. is a `Proportion` or an `Average`.
+        interval: True if the figure has bounds, i.e. is a `Proportion` or an `Average`.
         paper: Key of the same figure in the transcription of the paper's tables; "" if the paper does not have it.
     """
 

@@ -1,4 +1,4 @@
-"""What an evaluation shows while it runs: a table of its cells that fills, and how far it is."""
+"""Display of a running evaluation: a table of its cells as they fill, and a progress bar."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from humoslope.statistics import mean, proportion
 
 
 def cell_table(trials: HeldOutTrials, protocol: HeldOutProtocol, title: str) -> Table:
-    """Every cell with the trials that are done, as they are."""
+    """Table of every cell with its finished trials."""
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     for column in ("grade\n°", "\nµ", "\ntrials", "SR\n%", "95 %\ninterval", "MXD\nm", "T_trav\ns"):
         table.add_column(column, justify="right", no_wrap=True)
@@ -56,30 +56,36 @@ class Progress:
 
     Args:
         done: Share that was done before.
+        step_dt: Control step, s.
+
+    Attributes:
+        simulated: Simulated time of all envs, s.
     """
 
     def __init__(self, done: float, step_dt: float) -> None:
         self._first, self._dt = done, step_dt
         self._started = time.monotonic()
-        self.simulated = 0.0  # s, of all worlds
+        self.simulated = 0.0
 
-    def step(self, worlds: int) -> None:
-        """Counts a control step of so many worlds."""
-        self.simulated += worlds * self._dt
+    def step(self, envs: int) -> None:
+        """Counts a control step of so many envs."""
+        self.simulated += envs * self._dt
 
     def line(self, done: float) -> RenderableType:
-        """As a bar and words, with `done` of the whole, in [0, 1]."""
+        """Progress bar and text for the share `done`, in [0, 1]."""
         took = time.monotonic() - self._started
         rate = (done - self._first) / took if took > 0.0 else 0.0
         left = _clock((1.0 - done) / rate) if rate > 0.0 else "-"
-        words = f"{100.0 * done:.0f} %  {self.simulated / took if took else 0.0:,.0f} s walked per second, left {left}"
+        words = (
+            f"{100.0 * done:.0f} %  {self.simulated / took if took else 0.0:,.0f} simulated s per second, left {left}"
+        )
         grid = Table.grid(padding=(0, 2))
         grid.add_row(ProgressBar(total=1.0, completed=done, width=30), Text(words))
         return grid
 
 
 def view(trials: HeldOutTrials, protocol: HeldOutProtocol, title: str, line: RenderableType) -> Group:
-    """Table and progress."""
+    """Table of the cells above the progress bar."""
     return Group(cell_table(trials, protocol, title), line)
 
 

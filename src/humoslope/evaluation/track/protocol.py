@@ -1,4 +1,4 @@
-"""The held-out protocol: every number of the benchmark, with where it comes from."""
+"""The held-out protocol: every number of the benchmark, with its source."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from humoslope.terrain.course import Course
 
 @dataclass(frozen=True)
 class HeldOutProtocol:
-    """What is measured. Numbers are the paper's (section 4) where it gives them; "ours" marks what it leaves open.
+    """Settings of the benchmark. Numbers are the paper's (section 4) where it gives them, others are marked "ours".
 
     One cell is a grade with a friction tier. Every policy gets the same starts, the same noise and the same steering:
     yaw rate = clip(0.5 (0 - heading) - 0.3 y, +-0.2) rad/s with y the metres left of the centre line, here in the terms
@@ -24,15 +24,15 @@ class HeldOutProtocol:
         course: Name of the course.
         grades: Nominal grades, degrees.
         tiers: Friction of the feet on the ground is tan(grade) plus one of these.
-        trials: Number of trials in each cell; ours: rates with one decimal as the paper's need at least this many.
-        speed: Commanded forward speed, m/s.
-        success_place: A trial that gets here has succeeded, m from the start of the course; 90 % of it.
-        timeout_s: A trial that lasts this long has failed, s; twice the time that the whole course takes at that speed.
-        heading_gain: Gain from heading to yaw rate, 1/s (ours).
-        lateral_gain: Gain from the offset to the centre line to the wanted heading, rad/m (ours).
-        yaw_rate_limit: Largest yaw rate, rad/s (ours); within what policies of Unitree RL Lab have seen.
+        trials: Trials in each cell (ours: the paper's rates with one decimal need at least this many).
+        speed: Commanded forward speed along the ground, m/s.
+        success_place: Place at which a trial has succeeded, m from the start of the course; 90 % of it.
+        timeout_s: Duration at which a trial has failed, s; twice the time that the whole course takes on level ground.
+        heading_gain: Yaw rate per heading error, 1/s (ours).
+        lateral_gain: Heading error added per metre off the centre line, rad/m (ours).
+        yaw_rate_limit: Largest commanded yaw rate, rad/s (ours; within the range that Unitree RL Lab trains on).
         fall_force: Ground force on anything but feet and shins that counts as contact, N (ours).
-        fall_contact_s: Such contact for this long is a fall, s (ours).
+        fall_contact_s: Duration from which such contact is a fall, s (ours).
         fall_tilt: A root that leans further from the vertical than this is a fall, degrees (ours).
         fall_com_height: A centre of mass lower over the ground than this is a fall, m (ours).
         start_place: Place of the root at the start, m from the start of the course (ours).
@@ -103,10 +103,10 @@ class HeldOutProtocol:
         return self.num_cells * self.trials
 
     def find_course(self) -> Course:
-        """The course, if its ground and its length go with this protocol.
+        """The course of this protocol.
 
         Raises:
-            UserError: If there is none of that name, or a grade or the place of success is not on it.
+            UserError: If there is no course of that name, or a grade or the place of success is not on it.
         """
         found = course.find(self.course)
         found.ground(self.grades)
@@ -117,7 +117,7 @@ class HeldOutProtocol:
         return found
 
     def departures(self, from_: HeldOutProtocol) -> str:
-        """The fields that differ from another protocol, but for how many trials there are and in which cells."""
+        """Fields that differ from those of another protocol, except for the cells and the number of trials."""
         mine, other = vars(self), vars(from_)
         names = [n for n in mine if n not in ("trials", "grades", "tiers") and mine[n] != other[n]]
         return ", ".join(f"{name} {mine[name]}" for name in names)
@@ -133,7 +133,7 @@ SWEEP_TRIALS = 32
 def sweep_protocol() -> HeldOutProtocol:
     """The slope-limit sweep: the same course and rules at every degree, at the middle friction tier.
 
-    The paper gives the result of a sweep but not its ground; a method with no success on the compound track at 30
-    degrees reaches 35 in it, so theirs is another one. Ours is the harder question.
+    The paper gives the result of a sweep but not its ground. A method without a success on the compound track at 30
+    degrees reaches 35 in the sweep, so the paper's ground must be another one; ours is harder.
     """
     return dataclasses.replace(HeldOutProtocol(), grades=SWEEP_GRADES, tiers=(SWEEP_TIER,), trials=SWEEP_TRIALS)

@@ -23,7 +23,7 @@ class Outcomes(Protocol):
 
     Attributes:
         metrics: Recorded values.
-        success: Whether the goal was reached.
+        success: True where the goal was reached.
         fell, left, timed_out: How the others ended.
         seconds: Until the end, s; of a success, until the goal.
         max_place: Furthest place on the track, m from its start.
@@ -148,7 +148,7 @@ class SlopeLimit:
     Attributes:
         grade: The steepest grade that is mastered together with all lower ones of the sweep.
         any_success: The steepest grade with at least one success, whatever the lower ones gave.
-        beyond: Whether the steepest grade of the sweep is mastered, so that the limit lies there or higher.
+        beyond: True if the steepest grade of the sweep is mastered, so that the limit lies there or higher.
     """
 
     grade: float | None

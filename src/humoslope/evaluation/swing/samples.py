@@ -1,6 +1,6 @@
-"""Hip flexion of the swing leg, gathered while a policy walks up and down ramps.
+"""Samples of the swing leg's hip flexion while a policy walks up and down ramps.
 
-It walks as in the ramp check: on planar ramps of fixed friction, without noise, pushes, harness or curriculum.
+The conditions are those of the ramp check: planar ramps of fixed friction, no noise, pushes, harness or curriculum.
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError, require_positive
-from humoslope.evaluation.common import rollout
+from humoslope.evaluation.common import rollout, to_host
 from humoslope.evaluation.ramps import APPROACH, RampProtocol
 from humoslope.mdp.bsga import HIP_PITCH
 from humoslope.mdp.bsga_memory import SWING_FORCE, SWING_LONGEST, SWING_SETTLE, Swing
@@ -24,25 +23,25 @@ from humoslope.mdp.selection import joint_pair
 from humoslope.statistics import Array
 
 CLEAR = 1.0
-"""Way on a ramp before samples count, m: some strides, and the whole patch that reads the slope is on the ramp."""
+"""Distance on a ramp before samples count, m: a few strides, and the whole height scan is on the ramp."""
 SPEED_WINDOW = 1.0
-"""Time constant of the mean speed, s: about a stride, so that trials are left out and not phases of a stride."""
+"""Time constant of the mean speed, s: about a stride, so that trials are excluded and not phases of a stride."""
 
 
 @dataclass(frozen=True)
 class SwingProtocol(RampProtocol):
-    """What is walked, and which instants count as swing.
+    """Settings of the calibration's ramps, and of the instants that count as swing.
 
     Attributes:
         grades: Grades of the ramps, degrees; negative goes down. Every 2.5, one for each bin of the fit.
         starts: Trials on each ramp.
-        seconds: Length of a trial, s; the first 4 or 5 pass before the robot is well on its ramp.
+        seconds: Length of a trial, s; in the first 4 or 5 the robot gets well onto its ramp.
         hip: Regular expression for the whole names of the joints that flex the hips, one on the left and one on the
-            right, turning about the left axis; as the swing reward has it.
-        swing_force: A foot that presses less on the ground swings, N.
-        swing_settle: A swing counts from this time after lift-off, s.
-        swing_longest: A swing counts no more from this time after lift-off, s.
-        speed_tolerance: Largest difference of the mean speed from the commanded one, m/s.
+            right, turning about the left axis; as in the swing reward.
+        swing_force: Force on the ground below which a foot swings, N.
+        swing_settle: Time after lift-off from which a swing counts, s.
+        swing_longest: Time after lift-off from which a swing no longer counts, s.
+        speed_tolerance: Largest difference of the mean speed from the commanded one at which samples count, m/s.
     """
 
     grades: tuple[float, ...] = tuple(2.5 * i for i in range(-12, 13))
@@ -56,11 +55,13 @@ class SwingProtocol(RampProtocol):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive("calibration", swing_force=self.swing_force, speed_tolerance=self.speed_tolerance)
+        require_positive(
+            "calibration", speed=self.speed, swing_force=self.swing_force, speed_tolerance=self.speed_tolerance
+        )
         if not 0.0 <= self.swing_settle <= self.swing_longest:
             raise UserError(
-                f"calibration: a swing from {self.swing_settle:g} to {self.swing_longest:g} s after lift-off "
-                "is none; swing_settle must be 0 or more, and swing_longest no less than it."
+                f"calibration: no swing counts from {self.swing_settle:g} to {self.swing_longest:g} s after lift-off; "
+                "swing_settle must be 0 or more, and swing_longest no less than it."
             )
 
 
@@ -70,33 +71,31 @@ class SwingSamples:
 
     Attributes:
         slope: [K] inclination of the ground in the heading direction, rad, positive uphill.
-        flexion: [K] of that leg's hip, rad.
-        world: [K] in which world it was.
+        flexion: [K] flexion of that leg's hip, rad.
     """
 
     slope: Array
     flexion: Array
-    world: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.slope)
 
 
 class SwingRecorder:
-    """Gathers samples step by step; a world that has ended is ignored from then on. Nothing waits for the device.
+    """Collects samples step by step; an env whose trial has ended is ignored. Nothing waits for the device.
 
     Args:
-        protocol: Gives the commanded speed and its tolerance.
-        num_envs: Number of worlds N.
+        protocol: Commanded speed and its tolerance.
+        num_envs: Number of envs N.
         dt: Control step, s.
-        device: Of the signals.
+        device: Device of the signals.
     """
 
     def __init__(self, protocol: SwingProtocol, num_envs: int, dt: float, device: torch.device) -> None:
         self._protocol = protocol
         self._keep_speed = float(np.exp(-dt / SPEED_WINDOW))
         self._running = torch.ones(num_envs, dtype=torch.bool, device=device)
-        self._speed = torch.zeros(num_envs, device=device)  # [N] m/s; a robot at rest takes its time to count
+        self._speed = torch.zeros(num_envs, device=device)  # [N] m/s; a robot from rest counts only later
         self._slope: list[Tensor] = []
         self._flexion: list[Tensor] = []
         self._counts: list[Tensor] = []
@@ -111,14 +110,14 @@ class SwingRecorder:
         failed: Tensor,
         ended: Tensor,
     ) -> None:
-        """Takes the outcome of one control step.
+        """Adds one control step.
 
         Args:
             place: [N] along the tile, m.
             speed: [N] forward along the ground, m/s.
-            slope: [N] of the ground in the heading direction, rad.
-            flexion: [N, 2] of left and right hip, rad.
-            swinging: [N, 2] whether the leg swings, bool.
+            slope: [N] slope of the ground in the heading direction, rad.
+            flexion: [N, 2] flexion of left and right hip, rad.
+            swinging: [N, 2] bool; legs that swing.
             failed, ended: [N] bool.
         """
         protocol = self._protocol
@@ -131,39 +130,37 @@ class SwingRecorder:
         self._counts.append(walking[:, None] & swinging)
 
     def samples(self) -> SwingSamples:
-        """What was gathered. Waits for the device."""
+        """The samples so far. Waits for the device."""
         if not self._counts:
-            return SwingSamples(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
+            return SwingSamples(np.empty(0), np.empty(0))
         counts = torch.stack(self._counts)  # [T, N, 2]
         slope = torch.stack(self._slope)[:, :, None].expand_as(counts)
-        world = torch.arange(counts.shape[1], device=counts.device)[:, None].expand_as(counts)
         return SwingSamples(
-            slope=slope[counts].double().cpu().numpy(),
-            flexion=torch.stack(self._flexion)[counts].double().cpu().numpy(),
-            world=world[counts].cpu().numpy(),
+            slope=to_host(slope[counts]),
+            flexion=to_host(torch.stack(self._flexion)[counts]),
         )
 
 
-def walk(
+def collect_samples(
     env: ManagerBasedRlEnv,
     policy: Callable[[TensorDict], Tensor],
     protocol: SwingProtocol,
     on_step: Callable[[], None] = lambda: None,
 ) -> SwingSamples:
-    """Lets the policy walk one trial in every world of an environment made by `ramp_env_cfg`.
+    """Samples of one trial in every env of an environment made by `ramp_env_cfg`.
 
     Args:
         on_step: Called after every control step.
 
     Raises:
-        UserError: If the robot has no such hip joints.
+        UserError: If the robot does not have the hip joints of the protocol.
     """
     recorder = SwingRecorder(protocol, env.num_envs, env.step_dt, env.device)
     swing = Swing(env, protocol.swing_force, protocol.swing_settle, protocol.swing_longest)
     hips = torch.tensor(joint_pair(env.robot, protocol.hip), device=env.device)
     signals, start_x = env.signals, env.tiles.origin_w[:, 0]
 
-    def record(failed: Tensor, ended: Tensor) -> None:
+    def observe(failed: Tensor, ended: Tensor) -> None:
         recorder.add(
             place=signals.root_pos_w[:, 0] - start_x,
             speed=signals.root_lin_vel_t[:, 0],
@@ -174,5 +171,5 @@ def walk(
             ended=ended,
         )
 
-    rollout(env, policy, protocol.seconds, record, on_step)
+    rollout(env, policy, protocol.seconds, observe, on_step)
     return recorder.samples()
