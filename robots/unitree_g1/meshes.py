@@ -1,7 +1,7 @@
-"""Where the published meshes of the Unitree G1 can be had, and which link wears which.
+"""Source of the published meshes of the Unitree G1, and the meshes of each link.
 
-They are not in this repository. mjlab 1.6.0 carries the 35 files that the 29-joint model of revision 1.0 is drawn with
-(https://github.com/unitreerobotics/unitree_ros, g1_description); the assignment is that model's.
+They are not in this repository. mjlab 1.6.0 contains the 35 files of the 29-joint model of revision 1.0
+(https://github.com/unitreerobotics/unitree_ros, g1_description); meshes are assigned to links as in that model.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ SILVER_PARTS = (
     *("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw"),
 )
 BLACK_PARTS = ("hip_pitch", "ankle_roll")
-# The torso's origin in that model's waist, from which logo and head are placed, m.
+# Position of logo and head on the torso, m: origin of the torso in that model's waist.
 ON_TORSO = (0.0039635, 0.0, -0.044)
-# Where a hand is on its wrist, m.
+# Position of the hands on the wrists, m.
 HANDS = {"left": (0.0415, 0.003, 0.0), "right": (0.0415, -0.003, 0.0)}
 
 
 def _own(link: str, colour: tuple[int, int, int]) -> MeshVisual:
-    """The mesh that has its link's name."""
+    """Returns the visual of a link whose mesh has the same name."""
     return MeshVisual(link, f"{link}.STL", colour)
 
 
