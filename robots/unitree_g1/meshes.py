@@ -1,29 +1,29 @@
-"""Source of the published meshes of the Unitree G1, and their assignment to links.
+"""Source of the published meshes of the Unitree G1, and the meshes of each link.
 
 They are not in this repository. mjlab 1.6.0 contains the 35 files of the 29-joint model of revision 1.0
-(https://github.com/unitreerobotics/unitree_ros, g1_description); the assignment is that of this model.
+(https://github.com/unitreerobotics/unitree_ros, g1_description); meshes are assigned to links as in that model.
 """
 
 from __future__ import annotations
 
 from humoslope.scene.robot import MeshSource, MeshVisual
-from humoslope.scene.sensors import SIDES
 
 SILVER, BLACK = (179, 179, 179), (51, 51, 51)
+SIDES = ("left", "right")
 
 SILVER_PARTS = (
     *("hip_roll", "hip_yaw", "knee", "ankle_pitch"),
     *("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw"),
 )
 BLACK_PARTS = ("hip_pitch", "ankle_roll")
-# Origin of the torso in the waist of that model, the reference of logo and head, m.
+# Position of logo and head on the torso, m: origin of the torso in that model's waist.
 ON_TORSO = (0.0039635, 0.0, -0.044)
-# Position of a hand on its wrist, m.
+# Position of the hands on the wrists, m.
 HANDS = {"left": (0.0415, 0.003, 0.0), "right": (0.0415, -0.003, 0.0)}
 
 
 def _own(link: str, colour: tuple[int, int, int]) -> MeshVisual:
-    """Mesh with the name of its link."""
+    """Returns the visual of a link whose mesh has the same name."""
     return MeshVisual(link, f"{link}.STL", colour)
 
 

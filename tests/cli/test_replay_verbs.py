@@ -5,6 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -72,6 +76,48 @@ def test_a_sheet_alone_is_soon_there(walked: Path) -> None:
     assert main(["video", str(walked), "--sheet-only", "--width", "96", "--height", "64", "--workers", "1"]) == 0
     assert walked.with_name("model_0.rough-ramp-up-15.png").is_file()
     assert not walked.with_name("model_0.rough-ramp-up-15.mp4").exists()
+
+
+@pytest.mark.parametrize(("stop", "workers"), [(signal.SIGTERM, "2"), (signal.SIGINT, "1"), (signal.SIGHUP, "1")])
+def test_a_video_that_is_stopped_leaves_no_file_behind(
+    walked: Path, tmp_path: Path, stop: signal.Signals, workers: str
+) -> None:
+    shutil.copy(walked, tmp_path / "walk.npz")
+    options = ("--width", "480", "--height", "270", "--fps", "100", "--workers", workers)
+    command = [sys.executable, "-c", "import sys; from humoslope.cli import main; sys.exit(main())"]
+    video = subprocess.Popen(
+        [*command, "video", str(tmp_path / "walk.npz"), *options],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while not list(tmp_path.glob(".walk.mp4.*")):  # it is being written
+        assert video.poll() is None
+        time.sleep(0.01)
+    video.send_signal(stop)
+    _, said = video.communicate()
+    assert video.returncode == 128 + stop
+    assert said == ("humoslope: interrupted.\n" if stop is signal.SIGINT else "humoslope: terminated.\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.npz", "walk.png"]
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_rollout_that_cannot_be_drawn_is_refused_in_one_sentence_by_every_verb(
+    mistake: Callable[..., str], walked: Path, tmp_path: Path, workers: str
+) -> None:
+    with np.load(walked) as archive:
+        whole = {name: archive[name] for name in archive.files}
+    header = json.loads(str(whole["header"]))
+    header["robot"]["urdf"] = header["robot"]["urdf"].replace('<child link="torso_link"/>', '<child link="head"/>')
+    np.savez(tmp_path / "loose.npz", **whole | {"header": np.array(json.dumps(header))})
+    small = ("--width", "96", "--height", "64", "--workers", workers)
+    assert "in this rollout" in mistake("video", str(tmp_path / "loose.npz"), *small)
+    assert "in this rollout" in mistake("replay", str(tmp_path / "loose.npz"), "--save", str(tmp_path / "walk.rrd"))
+    whole["joint_pos"][3, 5] = np.nan
+    np.savez(tmp_path / "nan.npz", **whole)
+    for verb in ("video", "replay"):
+        assert "'joint_pos' in row 3 is nan; it must be finite" in mistake(verb, str(tmp_path / "nan.npz"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["loose.npz", "nan.npz"]
 
 
 @pytest.mark.parametrize("verb", ["replay", "video"])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -29,7 +29,7 @@ from humoslope.errors import UserError
 from humoslope.export import policy as exporting
 from humoslope.export.onnx import largest_difference, network_inputs, translate
 from humoslope.export.policy import export, make_contract, record_observations, robot_xml
-from humoslope.learning.policy import Actor, PolicySpec, load_actor
+from humoslope.learning.policy import Actor, load_actor
 from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms
 from humoslope.mdp import observations as observations_of
 from humoslope.mdp.declare import measured_as
@@ -209,7 +209,7 @@ class ToyActor:
     """What an export needs of an actor, around any module."""
 
     def __init__(self, module: torch.nn.Module, *groups: str) -> None:
-        self.module, self.spec = module, PolicySpec(groups=groups)
+        self.module, self.spec = module, SimpleNamespace(groups=groups)
 
     def __call__(self, obs: TensorDict) -> Tensor:
         action: Tensor = self.module(obs).detach()
@@ -288,18 +288,17 @@ def test_an_image_is_exported_as_a_custom_quantity_that_play_refuses(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    env = make_stage1(2)
-    terms = Terms(map=ObservationTermCfg(heights, scale=0.5))
-    trained = dataclasses.replace(
-        env.cfg, observations=Terms(actor=env.cfg.observations.actor, terrain=ObservationGroupCfg(terms))
-    )
-    seen = env.get_observations().select("actor").set("terrain", 0.5 * heights(env))
+    def look(cfg: EnvCfg) -> None:
+        cfg.observations.terrain = ObservationGroupCfg(Terms(map=ObservationTermCfg(heights, scale=0.5)), history=3)
+
+    env = make_stage1(2, look)
+    seen = env.get_observations()
     module: Any = cnn_for(seen, env.robot.num_joints)
     both = make_actor(module, "actor", "terrain")
     both.provenance = actor.provenance
     (tmp_path / "params").mkdir()
     (tmp_path / "params" / "deploy.yaml").write_text("of an earlier export")
-    result = export(both, env, trained, seen, tmp_path)
+    result = export(both, env, env.cfg, seen, tmp_path)
     assert result.without_deploy_yaml is not None
     assert "the policy reads the groups actor, terrain" in result.without_deploy_yaml
     assert not (tmp_path / "params" / "deploy.yaml").exists()
@@ -308,7 +307,7 @@ def test_an_image_is_exported_as_a_custom_quantity_that_play_refuses(
     (term,) = contract.observations[1].terms
     assert (term.name, term.quantity, term.shape, term.scale) == ("map", "custom", (1, 4, 5), 0.5)
     assert term.meaning == "Heights of the ground around the robot, in metres."
-    assert contract.network.inputs[1] == contracts.NetworkInput("terrain", "terrain", (1, 1, 4, 5))
+    assert contract.network.inputs[1] == contracts.NetworkInput("terrain", "terrain", (1, 3, 4, 5))
     assert main(["play", str(tmp_path), "--headless"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1

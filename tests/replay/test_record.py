@@ -56,7 +56,7 @@ def test_rewards_are_weighted_and_per_second(rollout: Rollout) -> None:
 
 def test_pushes_come_when_and_as_hard_as_was_asked(rollout: Rollout) -> None:
     pushes = [event for event in rollout.events if event.kind == "push"]
-    assert [push.time for push in pushes] == pytest.approx([0.9, 1.8, 2.7, 3.6], abs=0.1)
+    assert [push.time for push in pushes] == pytest.approx([0.9, 1.8, 2.7, 3.6])
     for push in pushes:
         size, angle = re.fullmatch(r"push of ([0-9.]+) m/s towards (-?[0-9]+)°", push.text).groups()
         assert 0.0 < float(size) <= 1.5 * math.sqrt(2.0)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from types import FrameType
 
 from humoslope.errors import UserError, unknown
 
@@ -32,6 +36,35 @@ VERBS = {
 """Each verb is `run(arguments)` in the module of its name."""
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM or SIGHUP. Whatever cleans up after Ctrl-C cleans up after them."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.exit_code = 128 + number
+
+
+@contextmanager
+def _signals_raised() -> Iterator[None]:
+    """Turns SIGTERM and SIGHUP into `Terminated`, so that temporary files are removed and child processes ended."""
+    if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
+        yield
+        return
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise Terminated(number)
+
+    names = ("SIGTERM", "SIGHUP")  # Windows has no SIGHUP
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    # A signal that is ignored (nohup) stays so.
+    handlers = {n: signal.signal(n, stop) for n in numbers if signal.getsignal(n) is not signal.SIG_IGN}
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Runs a verb and returns its exit code: 2 for a mistake of the user, which is reported in one sentence."""
     arguments = sys.argv[1:] if arguments is None else arguments
@@ -43,10 +76,14 @@ def main(arguments: list[str] | None = None) -> int:
         if verb not in VERBS:
             raise unknown("verb", verb, VERBS)
         run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
-        run(rest)
+        with _signals_raised():
+            run(rest)
     except UserError as error:
         print(f"humoslope: {error}", file=sys.stderr)
         return 2
+    except Terminated as stop:
+        print("humoslope: terminated.", file=sys.stderr)
+        return stop.exit_code
     except KeyboardInterrupt:
         print("humoslope: interrupted.", file=sys.stderr)
         return 130

@@ -1,4 +1,4 @@
-"""A window in which the robot walks in real time and obeys the arrow keys."""
+"""Window in which the robot walks in real time, commanded with the arrow keys."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from humoslope.deploy.quantities import Array
 from humoslope.errors import UserError
 
 STEP = 0.1
-"""How far a key moves a command, m/s or rad/s."""
+"""Change of the command by one key press, m/s or rad/s."""
 KEYS = "up and down: speed; left and right: turn; Enter: stand still; Home: start over"
 
 
 class Keyboard:
-    """The command that keys have asked for, within what the policy was trained for.
+    """Command entered with the keyboard, within the ranges that the policy was trained with.
 
     Attributes:
-        restart: Whether the robot is to start over; whoever does so sets it back.
+        restart: True once a restart has been requested; to be cleared by the caller.
     """
 
     def __init__(self, commands: Commands, speed: float) -> None:
         self._speeds, self._turns = (
-            _rungs(commands.forward_m_s, commands.trained_to_stand),
-            _rungs(commands.yaw_rate_rad_s, True),
+            _levels(commands.forward_m_s, commands.trained_to_stand),
+            _levels(commands.yaw_rate_rad_s, True),
         )
         self._stands = commands.trained_to_stand
         self._speed, self._turn = speed, 0.0
         self.restart = False
 
     def press(self, key: int) -> None:
-        """Takes the GLFW code of a key; others than `KEYS` do nothing."""
+        """Handles a key press, given as a GLFW code; keys other than `KEYS` are ignored."""
         if key in (glfw.KEY_UP, glfw.KEY_DOWN):
             self._speed = _next(self._speeds, self._speed, up=key == glfw.KEY_UP)
         elif key in (glfw.KEY_LEFT, glfw.KEY_RIGHT):
@@ -49,19 +49,23 @@ class Keyboard:
 
     @property
     def command(self) -> Array:
-        """Forward, left, yaw rate, [3]."""
+        """Forward speed, lateral speed and yaw rate, [3]."""
         return np.array([self._speed, 0.0, self._turn])
 
 
 def check_display() -> None:
-    """Raises UserError where no window can be opened."""
+    """Checks that a window can be opened.
+
+    Raises:
+        UserError: If it cannot.
+    """
     if sys.platform == "darwin" and not _under_mjpython():
         raise UserError("on macOS a window needs `mjpython` instead of `python`; or add --headless.")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # glfw's own words on what fails; the sentences below say it
+        warnings.simplefilter("ignore")  # glfw's own messages; the errors below replace them
         if not glfw.init():
             raise UserError("there is no display to open a window on; add --headless to walk without one.")
-        # The viewer opens its window in a thread, and whoever waits for it would wait for ever if that failed.
+        # The viewer opens its window in a thread; if that failed, its caller would wait forever.
         glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
         window = glfw.create_window(64, 64, "", None, None)
         glfw.terminate()
@@ -70,10 +74,11 @@ def check_display() -> None:
 
 
 def live(player: Player, say: Callable[[str], object]) -> None:
-    """Lets the robot walk in a window, in real time, until it is closed. After a fall it starts over.
+    """Runs the policy in a window, in real time, until it is closed. After a fall the robot starts over.
 
     Args:
-        say: Is given a sentence on each fall.
+        player: The policy and its robot.
+        say: Called with a message after each fall.
     """
     import mujoco.viewer
 
@@ -97,20 +102,20 @@ def live(player: Player, say: Callable[[str], object]) -> None:
                 player.step(keyboard.command)
             window.sync()
             since += dt
-            # A machine that cannot keep up walks slower, and does not race afterwards.
+            # On a slow machine the walk is slowed down, and does not catch up afterwards.
             due = max(due + dt, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
 
 
-def _rungs(limits: Range, zero: bool) -> Array:
-    """The values that a key goes through."""
+def _levels(limits: Range, zero: bool) -> Array:
+    """Returns the values that a key steps through."""
     low, high = limits
-    rungs = np.append(np.arange(low, high - 1e-9, STEP), high)
-    return np.unique(np.round(np.append(rungs, 0.0) if zero else rungs, 6))
+    levels = np.append(np.arange(low, high - 1e-9, STEP), high)
+    return np.unique(np.round(np.append(levels, 0.0) if zero else levels, 6))
 
 
-def _next(rungs: Array, value: float, up: bool) -> float:
-    further = rungs[rungs > value + 1e-9] if up else rungs[rungs < value - 1e-9][::-1]
+def _next(levels: Array, value: float, up: bool) -> float:
+    further = levels[levels > value + 1e-9] if up else levels[levels < value - 1e-9][::-1]
     return float(further[0]) if len(further) else value
 
 

@@ -1,1 +1,1 @@
-"""A walk recorded once to a file, and the ways to look at it: in rerun, as a video, as a picture."""
+"""Recording of walks to files, and display of the files: in rerun, as a video, as a picture."""

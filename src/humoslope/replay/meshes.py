@@ -1,4 +1,4 @@
-"""Real meshes of a robot, fetched once: from a package on the package index, verified by its hash, kept in a cache."""
+"""Published meshes of a robot: downloaded once from the package index, verified by hash, and kept in a cache."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from humoslope.replay.shapes import Shape, joined
 from humoslope.scene.robot import MeshSource
 
 CACHE = Path(".meshes")
-"""Below the current folder; git ignores it."""
+"""Cache folder, below the current one; git ignores it."""
 INDEX = "visuals.json"
-"""Which link wears which mesh; written last, so that a cache with it is whole."""
+"""File with the mesh of each link; written last, so that a cache with this file is complete."""
 
 
 def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
-    """Downloads the meshes of a robot with pip, and returns their folder. What is there already is fetched anew.
+    """Downloads the meshes of a robot with pip, replacing cached ones, and returns their folder.
 
     Raises:
-        UserError: If the package cannot be had, has another hash, or lacks a mesh.
+        UserError: If the package is unavailable, has another hash, or lacks a mesh.
     """
     folder = cache / robot
     with tempfile.TemporaryDirectory() as temporary:
@@ -48,26 +48,26 @@ def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
 
 
 def load_meshes(robot: str, cache: Path = CACHE) -> dict[str, Shape]:
-    """What each link looks like, in the link's frame.
+    """Returns the shape of each link in the link's frame.
 
     Raises:
-        UserError: If the meshes were not fetched.
+        UserError: If the meshes were not fetched, or are broken.
     """
     folder = cache / robot
     if not (folder / INDEX).is_file():
         raise UserError(f"there are no meshes of '{robot}' in '{folder}'; `humoslope meshes` fetches them.")
     try:
-        worn: dict[str, list[Shape]] = {}
+        shapes: dict[str, list[Shape]] = {}
         for visual in json.loads((folder / INDEX).read_text(encoding="utf-8")):
-            worn.setdefault(visual.pop("link"), []).append(_shape(folder, **visual))
-        return {link: joined(shapes) for link, shapes in worn.items()}
+            shapes.setdefault(visual.pop("link"), []).append(_shape(folder, **visual))
+        return {link: joined(parts) for link, parts in shapes.items()}
     except (OSError, ValueError, TypeError, KeyError):
         raise UserError(f"the meshes in '{folder}' are broken; `humoslope meshes` fetches them anew.") from None
 
 
 def _shape(folder: Path, file: str, colour: list[int], position: list[float]) -> Shape:
     mesh = trimesh.load_mesh(folder / file)
-    if not len(mesh.faces):  # what trimesh makes of most files that are no mesh
+    if not len(mesh.faces):  # trimesh returns an empty mesh for most files that are none
         raise ValueError(file)
     return Shape(
         vertices=(mesh.vertices + position).astype(np.float32),
@@ -78,7 +78,7 @@ def _shape(folder: Path, file: str, colour: list[int], position: list[float]) ->
 
 
 def _download(source: MeshSource, folder: Path) -> Path:
-    """The wheel. pip refuses one with another hash, and keeps to the user's own index, proxy and certificates."""
+    """Returns the downloaded wheel. pip checks the hash, and uses the user's own index, proxy and certificates."""
     what = f"{source.package} {source.version}"
     wanted = folder / "wanted.txt"
     wanted.write_text(f"{source.package}=={source.version} --hash=sha256:{source.sha256}\n")

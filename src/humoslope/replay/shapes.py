@@ -1,4 +1,4 @@
-"""Triangle meshes as every viewer takes them, and the ground of a rollout as one."""
+"""Triangle meshes for all viewers, and the mesh of the ground of a rollout."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ class Shape:
     """A triangle mesh.
 
     Attributes:
-        vertices, normals: [V, 3] m; unit vectors.
+        vertices: [V, 3] positions, m.
+        normals: [V, 3] unit vectors.
         triangles: [F, 3] indices of vertices.
-        colours: [V, 3] in 0..255.
+        colours: [V, 3] red, green, blue in 0..255.
     """
 
     vertices: NDArray[np.float32]
@@ -27,14 +28,14 @@ class Shape:
     colours: NDArray[np.uint8]
 
     def moved(self, rotation: NDArray[np.floating], position: NDArray[np.floating]) -> Shape:
-        """The shape turned by `rotation` [3, 3], then shifted by `position` [3]."""
+        """Returns the shape rotated by `rotation` [3, 3], then translated by `position` [3]."""
         turn = rotation.T.astype(np.float32)
         vertices = self.vertices @ turn + position.astype(np.float32)
         return Shape(vertices, self.normals @ turn, self.triangles, self.colours)
 
 
 def joined(shapes: Sequence[Shape]) -> Shape:
-    """All shapes as one."""
+    """Returns all shapes as one."""
     first = np.cumsum([0, *(len(shape.vertices) for shape in shapes[:-1])])
     return Shape(
         vertices=np.concatenate([shape.vertices for shape in shapes]),
@@ -47,17 +48,17 @@ def joined(shapes: Sequence[Shape]) -> Shape:
 
 
 MOSS, PALE = (118, 132, 108), (130, 144, 119)
-"""Colours of the chequers, 1 m wide, by which one sees how fast the robot is."""
+"""Colours of the chequers, 1 m wide, that make the robot's speed visible."""
 EARTH = (96, 88, 78)
-"""Colour of the slab's sides."""
+"""Colour of the sides of the slab."""
 THICKNESS = 0.5
-"""Of the slab that the ground is drawn as, m."""
+"""Thickness of the slab that represents the ground, m."""
 
 
 def ground_shape(rollout: Rollout) -> Shape:
-    """The robot's tile, in the world frame.
+    """Returns the robot's tile in the world frame.
 
-    The level border around it is left out: beside a way down it would be a wall that hides the robot.
+    The level border around it is left out: beside a descent it would be a wall that hides the robot.
     """
     terrain = rollout.header["terrain"]
     cell, (start_x, middle_y) = float(terrain["cell"]), terrain["tile_origin"][:2]
@@ -90,7 +91,7 @@ def ground_shape(rollout: Rollout) -> Shape:
 
 
 def _wall(edge: NDArray[np.float32], normal: tuple[int, int]) -> Shape:
-    """The side of the slab below an edge [K, 3] that runs around the tile from its right to its left."""
+    """Returns the side of the slab below an edge [K, 3] of the tile; edges run counter-clockwise."""
     below = edge - np.array((0.0, 0.0, THICKNESS), np.float32)
     first = np.arange(len(edge) - 1)
     under = first + len(edge)
@@ -104,6 +105,6 @@ def _wall(edge: NDArray[np.float32], normal: tuple[int, int]) -> Shape:
 
 
 def chequers(x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Colour [..., 3] of the ground at each place."""
+    """Returns the colour [..., 3] of the ground at each position."""
     odd = (np.floor(x) + np.floor(y)).astype(np.int64) % 2
     return np.array((MOSS, PALE), np.uint8)[odd]

@@ -1,1 +1,1 @@
-"""A recorded walk as a video and a contact sheet, without a display."""
+"""Video and contact sheet of a recorded walk, without a display."""

@@ -1,4 +1,4 @@
-"""What a camera keeps in its middle: the robot, without its bobbing."""
+"""Smooth path of the point that the camera looks at: the robot without its bobbing."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from scipy.ndimage import gaussian_filter1d
 from humoslope.replay.rollout import Columns
 
 SMOOTHING_S = 0.6
-"""Standard deviation of the moving average, s: a bob takes about half as long."""
+"""Standard deviation of the Gaussian filter, s; a step takes about half as long."""
 
 
 def follow(columns: Columns, dt: float) -> NDArray[np.float32]:
-    """Places [T, 3] near the root that move smoothly as long as the robot does; each start begins anew."""
+    """Returns the smoothed position of the root [T, 3]; episodes are smoothed separately."""
     smooth = np.empty_like(columns.root_pos_w)
     for episode in np.unique(columns.episode):
         rows = columns.episode == episode

@@ -1,4 +1,4 @@
-"""Single pictures of a rollout: the robot on its ground, seen from its side, with a caption."""
+"""Pictures of a rollout: the robot on its ground, from its right side, with a caption."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from humoslope.replay.rollout import Rollout
 from humoslope.replay.shapes import Shape, ground_shape, joined
 
 EYE = np.array((0.75, -3.2, 0.5), np.float32)
-"""From the robot's right, a little ahead and above, m from it."""
+"""Position of the camera relative to the robot, m: on its right, a little ahead and above."""
 TARGET = np.array((0.15, 0.0, -0.08), np.float32)
-"""What is in the middle of the picture, m from the robot."""
+"""Centre of the picture relative to the robot, m."""
 VIEW = math.radians(36.0)
 EVENT_S = 1.5
-"""How long an event is named, s."""
+"""Time for which an event is shown, s."""
 INK, FAINT, ALARM = (38, 44, 52), (92, 100, 110), (183, 28, 28)
 
 
@@ -30,9 +30,10 @@ class Frames:
     """Draws a rollout at any of its steps.
 
     Args:
-        rollout: What is drawn.
-        width, height: Of the pictures, pixels.
-        meshes: See `RobotShape`.
+        rollout: The rollout.
+        width: Width of the pictures, pixels.
+        height: Height of the pictures, pixels.
+        meshes: Shape of each link, as in `RobotShape`.
     """
 
     def __init__(self, rollout: Rollout, width: int, height: int, meshes: Mapping[str, Shape] | None = None) -> None:

@@ -1,6 +1,6 @@
-"""Pictures without a display, a GPU or a graphics driver: rays, traced on the CPU by Embree.
+"""Ray tracer on the CPU with Embree: pictures without a display, a GPU or a graphics driver.
 
-Light is one sun with sharp shadows, and a sky that lights from above. Colours are mixed linearly and written as sRGB.
+The light is a sun with sharp shadows, and a sky that lights from above. Colours are mixed linearly and written as sRGB.
 """
 
 from __future__ import annotations
@@ -18,34 +18,36 @@ try:
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 except ImportError:
-    raise UserError("video needs the package embreex, which is not there for this kind of machine.") from None
+    raise UserError("video needs the package embreex, which is not available for this machine.") from None
 
 Array = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 SUN = np.array((0.35, -0.5, 0.8), np.float32) / np.linalg.norm((0.35, -0.5, 0.8)).astype(np.float32)
-"""Towards the sun: from the side of the camera, so that one looks at what is lit."""
+"""Direction towards the sun: on the camera's side, so that the lit side is visible."""
 SUNLIGHT = np.array((1.05, 1.0, 0.92), np.float32)
 SKYLIGHT = np.array((0.42, 0.46, 0.52), np.float32)
 ZENITH = np.array((0.30, 0.50, 0.78), np.float32)
 HORIZON = np.array((0.86, 0.91, 0.95), np.float32)
 HAZE = 60.0
-"""Distance over which things fade into the horizon, m."""
+"""Distance over which colours fade into the horizon, m."""
 LIFT = 2e-3
-"""How far above a surface its shadow ray starts, m, so that it does not meet the surface itself."""
+"""Height above a surface at which its shadow rays start, m, so that they do not hit the surface itself."""
 GAMMA = 2.2
 SUBPIXELS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
-"""Places in a pixel that lies on an edge, at which it is traced again."""
+"""Offsets in a pixel at which pixels on an edge are traced again."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera that is level, whatever it looks at.
+    """A pinhole camera without roll.
 
     Attributes:
-        eye, target: [3] m.
-        width, height: Of the picture, pixels.
-        view: Vertical angle of view, rad.
+        eye: [3] position, m.
+        target: [3] point in the centre of the picture, m.
+        width: Width of the picture, pixels.
+        height: Height of the picture, pixels.
+        view: Vertical field of view, rad.
     """
 
     eye: Array
@@ -55,7 +57,7 @@ class Camera:
     view: float
 
     def rays(self, column: Array, row: Array) -> Array:
-        """Unit directions [P, 3] through places [P] in the picture, in pixels from its upper left corner."""
+        """Returns unit directions [P, 3] through points [P] of the picture, in pixels from its upper left corner."""
         forward = (self.target - self.eye) / np.linalg.norm(self.target - self.eye)
         right = np.cross(forward, (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)
@@ -67,7 +69,7 @@ class Camera:
 
 
 class Solid:
-    """A shape in the world that rays can meet."""
+    """A shape in the world that rays can hit."""
 
     def __init__(self, shape: Shape) -> None:
         self._shape = shape
@@ -78,8 +80,8 @@ class Solid:
         self._centre, self._radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
 
     def meet(self, origins: Array, rays: Array) -> tuple[Array, NDArray[np.int32], Array, Array]:
-        """Where each ray [P, 3] meets the shape first: distance [P] (infinite where it does not), triangle [P] (-1),
-        and the two coordinates [P] in the triangle."""
+        """Returns the first hit of each ray [P, 3]: distance [P] (infinite for none), triangle [P] (-1 for none), and
+        the two coordinates [P] in the triangle."""
         distance = np.full(len(rays), np.inf, np.float32)
         triangle = np.full(len(rays), -1, np.int32)
         u, v = np.zeros_like(distance), np.zeros_like(distance)
@@ -91,7 +93,7 @@ class Solid:
         return distance, triangle, u, v
 
     def shades(self, origins: Array) -> NDArray[np.bool_]:
-        """Whether the shape is between each place [P, 3] and the sun."""
+        """Returns for each point [P, 3] whether the shape is between it and the sun."""
         rays = np.broadcast_to(SUN, origins.shape)
         dark, near = np.zeros(len(origins), bool), self._near(origins, rays)
         if len(near):
@@ -99,13 +101,13 @@ class Solid:
         return dark
 
     def _near(self, origins: Array, rays: Array) -> NDArray[np.int64]:
-        """Which rays come close enough to meet the shape at all; most do not come near a robot."""
+        """Returns the indices of the rays that cross the bounding sphere; most do not come near a robot."""
         to_centre = self._centre - origins
         along = np.einsum("ij,ij->i", to_centre, rays)
         return np.flatnonzero(np.einsum("ij,ij->i", to_centre, to_centre) - along**2 < self._radius**2)
 
     def surface(self, triangle: NDArray[np.int32], u: Array, v: Array) -> tuple[Array, Array]:
-        """At places in triangles: normal [P, 3], evened out between the corners, and the first corner's colour."""
+        """Returns, for points in triangles, the interpolated normal [P, 3] and the colour of the first corner."""
         corners = self._shape.triangles[triangle]
         first, second, third = (self._shape.normals[corners[:, i]] for i in range(3))
         u, v = u[:, None], v[:, None]
@@ -113,7 +115,7 @@ class Solid:
 
 
 def render(camera: Camera, solids: list[Solid]) -> Picture:
-    """What the camera sees, [height, width, 3]."""
+    """Returns the picture of the camera, [height, width, 3]."""
     rows, columns = np.indices((camera.height, camera.width), dtype=np.float32).reshape(2, -1) + np.float32(0.5)
     colour, kind = _trace(camera, solids, columns, rows)
     edges = np.flatnonzero(_edges(kind.reshape(camera.height, camera.width), colour))
@@ -124,7 +126,7 @@ def render(camera: Camera, solids: list[Solid]) -> Picture:
 
 
 def _trace(camera: Camera, solids: list[Solid], column: Array, row: Array) -> tuple[Array, NDArray[np.int32]]:
-    """Linear colour [P, 3] and the number of the solid seen [P], -1 for the sky."""
+    """Returns the linear colour [P, 3] and the index of the visible solid [P], -1 for the sky."""
     rays = camera.rays(column, row)
     origins = np.broadcast_to(camera.eye.astype(np.float32), rays.shape).copy()
     met = [solid.meet(origins, rays) for solid in solids]
@@ -149,13 +151,13 @@ def _trace(camera: Camera, solids: list[Solid], column: Array, row: Array) -> tu
 
 
 def _unit(vectors: Array) -> Array:
-    """Vectors [P, 3] at length 1."""
+    """Returns vectors [P, 3] scaled to length 1."""
     unit: Array = vectors / np.sqrt(np.einsum("ij,ij->i", vectors, vectors))[:, None]
     return unit
 
 
 def _edges(kind: NDArray[np.int32], colour: Array) -> NDArray[np.bool_]:
-    """Which pixels [height, width] differ from a neighbour so much that they would look jagged."""
+    """Returns a mask [height, width] of pixels that differ from a neighbour so much that they would look jagged."""
     brightness = (colour @ np.full(3, 1.0 / 3.0, np.float32)).reshape(kind.shape)
     edges = np.zeros(kind.shape, bool)
     for axis in (0, 1):

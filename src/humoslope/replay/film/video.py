@@ -1,4 +1,4 @@
-"""A rollout as an mp4 and as a contact sheet; neither needs a display, a GPU or a graphics driver."""
+"""Rendering of a rollout to an mp4 and a contact sheet, without a display, a GPU or a graphics driver."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from humoslope.replay.rollout import Rollout
 
 SHEET_COLUMNS, SHEET_ROWS = 3, 2
 GAP = 6
-"""White between the pictures of a contact sheet, pixels."""
+"""White space between the pictures of a contact sheet, pixels."""
 QUALITY = ["-crf", "20", "-movflags", "+faststart"]
-"""For x264: hardly visible losses, and playing starts before all is loaded."""
+"""Options for x264: hardly visible losses; playback can start before the whole file is loaded."""
 
 
 @dataclass(frozen=True)
 class VideoCfg:
-    """What is filmed.
+    """Time span, size and speed of a video.
 
     Attributes:
-        start: First moment, s.
-        seconds: Length, s; by default to the end.
+        start: Start of the video in the rollout, s.
+        seconds: Length of the video, s; by default to the end of the rollout.
         fps: Pictures per second.
-        width: Width of a picture in pixels; an even number, as video codecs require.
-        height: Height of a picture in pixels; an even number.
-        workers: Number of processes that draw; 0 for one on each core.
+        width: Width of the pictures, pixels; even, as video codecs require.
+        height: Height of the pictures, pixels; even, as video codecs require.
+        workers: Number of drawing processes; 0 for one on each core.
         meshes: Draw the robot with the meshes that `humoslope meshes` has fetched.
     """
 
@@ -63,7 +63,7 @@ class VideoCfg:
             raise UserError(f"video: workers is {self.workers}; it must be 0 or more.")
 
     def steps(self, rollout: Rollout) -> list[int]:
-        """The steps of the rollout that are drawn.
+        """Returns the steps of the rollout that are drawn.
 
         Raises:
             UserError: If the rollout ends before the start.
@@ -80,6 +80,9 @@ def write_video(rollout: Rollout, path: Path, cfg: VideoCfg, on_frame: Callable[
     """Writes an mp4.
 
     Args:
+        rollout: The rollout.
+        path: The file.
+        cfg: Time span, size and speed.
         on_frame: Called after every picture.
 
     Raises:
@@ -91,17 +94,17 @@ def write_video(rollout: Rollout, path: Path, cfg: VideoCfg, on_frame: Callable[
 
 
 def write_sheet(rollout: Rollout, path: Path, cfg: VideoCfg) -> None:
-    """Writes a PNG of pictures spread evenly over the time that is filmed."""
+    """Writes a PNG of pictures spread evenly over the time span."""
     steps = cfg.steps(rollout)
     count = SHEET_COLUMNS * SHEET_ROWS
-    # Each picture stands for an equal part of the time, and shows its middle.
+    # Each picture represents an equal part of the time span, and shows its middle.
     chosen = [steps[int((i + 0.5) * len(steps) / count)] for i in range(count)]
     sheet = contact_sheet(list(_draw(rollout, chosen, cfg)))
     write_atomically(path, lambda temporary: Image.fromarray(sheet).save(temporary, format="PNG", optimize=True))
 
 
 def contact_sheet(pictures: Sequence[Picture]) -> Picture:
-    """`SHEET_COLUMNS` x `SHEET_ROWS` pictures of one size, row by row."""
+    """Returns `SHEET_COLUMNS` x `SHEET_ROWS` pictures of one size, arranged row by row."""
     height, width, _ = pictures[0].shape
     size = (SHEET_ROWS * (height + GAP) - GAP, SHEET_COLUMNS * (width + GAP) - GAP, 3)
     sheet = np.full(size, 255, np.uint8)
@@ -118,7 +121,7 @@ def _encode(pictures: Iterable[Picture], path: Path, cfg: VideoCfg, on_frame: Ca
             (cfg.width, cfg.height),
             fps=cfg.fps,
             codec="libx264",
-            quality=None,  # QUALITY says it
+            quality=None,  # see QUALITY
             macro_block_size=2,
             ffmpeg_log_level="error",
             output_params=QUALITY,

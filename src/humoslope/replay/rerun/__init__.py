@@ -1,1 +1,1 @@
-"""A recorded walk in rerun."""
+"""Display of a recorded walk in rerun."""

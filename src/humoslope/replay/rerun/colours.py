@@ -1,4 +1,4 @@
-"""One colour for each thing, in space as in plots; (red, green, blue) in 0..255."""
+"""Colours of quantities, the same in the 3D view and in plots; (red, green, blue) in 0..255."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ NORMAL: Colour = (67, 160, 71)
 
 
 def palette(count: int) -> list[Colour]:
-    """As many colours that can be told apart, the same again after twenty."""
+    """Returns `count` distinguishable colours; they repeat after twenty."""
     table = colormaps["tab20"].colors  # type: ignore[attr-defined]
-    # The table comes in pairs of dark and light; the dark ones first are easier to tell apart.
+    # The table alternates dark and light shades; the dark ones first are easier to distinguish.
     order = [*range(0, 20, 2), *range(1, 20, 2)]
     red_green_blue = [table[order[i % 20]] for i in range(count)]
     return [(round(255 * r), round(255 * g), round(255 * b)) for r, g, b in red_green_blue]
 
 
 def paler(colour: Colour, share: float = 0.5) -> Colour:
-    """The colour mixed with white."""
+    """Returns the colour mixed with a share of white."""
     red, green, blue = (round(part + share * (255 - part)) for part in colour)
     return red, green, blue

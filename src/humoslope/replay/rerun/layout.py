@@ -1,4 +1,4 @@
-"""How the rerun viewer is laid out, so that nothing has to be clicked."""
+"""Layout of the rerun viewer, so that nothing has to be clicked."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ PLOTS = {
     "load": "joint load, % of its limit",
     "reward": "rewards, per second",
 }
-"""Titles of the plots, by the last part of their entity's path."""
+"""Titles of the plots, by the last part of their entity path."""
 EYE = (1.1, -2.9, 0.7)
-"""Where one looks from: from the right, a little ahead, m from the robot."""
+"""Position of the camera relative to the robot, m: on its right, a little ahead."""
 WINDOW_S = 4.0
-"""Plots show this much before and after the moment that is shown, s: a few steps."""
+"""Time that plots show before and after the current moment, s: a few steps."""
 
 
 def single(name: str) -> rrb.Blueprint:
-    """One rollout: the world on the left, with events and provenance below, and every plot on the right."""
+    """Returns the layout for one rollout: 3D view on the left, events and origin below it, all plots on the right."""
     world = rrb.Vertical(
         _world("", name),
         rrb.Horizontal(
@@ -39,7 +39,7 @@ def single(name: str) -> rrb.Blueprint:
 
 
 def comparison(names: Sequence[str], prefixes: Sequence[str]) -> rrb.Blueprint:
-    """Two rollouts side by side on one timeline; what can be compared shares a plot."""
+    """Returns the layout for two rollouts side by side on one timeline; comparable quantities share a plot."""
     worlds = [_world(prefix, name) for prefix, name in zip(prefixes, names, strict=True)]
     shared = [_plot(name, prefixes) for name in ("speed", "height", "zmp", "ground")]
     own = [
@@ -67,8 +67,8 @@ def _whole(content: rrb.Container) -> rrb.Blueprint:
 
 def _world(prefix: str, name: str) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
-        # Seen from a moving origin, the robot stays in the middle. An eye that tracks an entity also works, but as long
-        # as the recording loads it may come to rest anywhere.
+        # With a moving origin the robot stays in the centre. An eye that tracks an entity also works, but may stop
+        # anywhere while the recording is loading.
         origin=f"/{prefix}world/{FOLLOWED}",
         contents=f"/{prefix}world/**",
         name=name,

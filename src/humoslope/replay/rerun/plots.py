@@ -1,4 +1,4 @@
-"""The time series of a rollout."""
+"""Time series of a rollout."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from humoslope.replay.rerun.scene import Scene
 from humoslope.replay.rollout import Rollout
 
 BUSIEST = 10
-"""Joints whose load is plotted."""
+"""Number of joints whose load is plotted, the most loaded first."""
 
 
 def log_plots(scene: Scene, rollout: Rollout, shared: str = "", pale: bool = False) -> None:
     """Writes every series.
 
     Args:
-        shared: Put before the names in the plots that two rollouts share.
-        pale: Draws lighter lines in these plots, for the second of two.
+        scene: Scene of the rollout, which writes into the recording.
+        rollout: The rollout.
+        shared: Prefix of the names in plots that two rollouts share.
+        pale: Draw lighter lines in these plots, for the second of two.
     """
     c = rollout.columns
 

@@ -24,7 +24,7 @@ def write_rrd(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shap
     Args:
         rollouts: One or two rollouts.
         path: The file.
-        meshes: See `RobotShape`.
+        meshes: Shape of each link, as in `RobotShape`.
 
     Raises:
         UserError: If there are more than two.

@@ -1,6 +1,6 @@
-"""The world of a rollout as rerun entities: robot, ground, and what the method sees of both.
+"""Rerun entities of a rollout: robot, ground, and the quantities of the method.
 
-Everything that moves is sent in columns, all steps at once: row by row it would take hundreds of times longer.
+Moving entities are sent in columns, all steps at once: row by row it would take hundreds of times longer.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from humoslope.replay.rollout import Mask, Rollout
 from humoslope.replay.shapes import Shape, ground_shape
 
 TIME, STEP = "time", "step"
-"""The timelines: seconds, and control steps."""
+"""Timelines: seconds, and control steps."""
 FOLLOWED = "followed"
-"""Entity below the world that moves with the robot but does not turn; views look from there."""
+"""Entity that moves with the robot but does not rotate; origin of the 3D views."""
 METRES_PER_NEWTON = 1.0 / 700.0
-"""Length of a force arrow: that of a G1's weight is half a metre."""
+"""Length of force arrows: half a metre for the weight of a G1."""
 OVERHEAD = 0.65
-"""Height of the velocity arrows over the root, m."""
+"""Height of the velocity arrows above the root, m."""
 SUPPORT_PLANE = (0.24, 0.16, 0.002)
-"""Half extents of the piece of the support plane that is drawn, m."""
+"""Half extents of the drawn part of the support plane, m."""
 HALF_BAR = 0.3
 """Half the length of the bar through the centre of mass, m."""
 
@@ -39,10 +39,10 @@ class Scene:
     """Writes one rollout into a recording.
 
     Args:
-        recording: Gets the entities.
-        rollout: What is shown.
-        prefix: Of all entity paths, such as "first/".
-        meshes: See `RobotShape`.
+        recording: Recording to write into.
+        rollout: The rollout.
+        prefix: Prefix of all entity paths, such as "first/".
+        meshes: Shape of each link, as in `RobotShape`.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Scene:
         self._times = [rr.TimeColumn(TIME, duration=time), rr.TimeColumn(STEP, sequence=np.arange(1, len(time) + 1))]
 
     def log(self) -> None:
-        """Writes everything that is drawn in space, and the events."""
+        """Writes everything in the 3D view, and the events."""
         self._static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         self._static("world/ground", _mesh(ground_shape(self._rollout)))
         self._log_robot()
@@ -75,8 +75,8 @@ class Scene:
 
     def _log_robot(self) -> None:
         poses = self._robot.poses(self._rollout)
-        for link, look in self._robot.shapes.items():
-            self._static(f"world/robot/{link}", _mesh(look))
+        for link, shape in self._robot.shapes.items():
+            self._static(f"world/robot/{link}", _mesh(shape))
             self._moves(f"world/robot/{link}", poses[link].position, poses[link].rotation)
 
     def _log_velocity(self) -> None:
@@ -100,7 +100,7 @@ class Scene:
         self._lines("world/support/zmp_ray", rays, colours.ZMP, 0.006, valid)
 
     def _log_centre_of_mass(self) -> None:
-        """The centre of mass is inside the body, so a bar through it is drawn that one sees from every side."""
+        """Draws a bar through the centre of mass, which itself is hidden inside the body."""
         columns = self._rollout.columns
         self._bars("world/com/actual", columns.com_pos_w, colours.COM)
         target, known = columns.com_pos_w.copy(), np.isfinite(columns.com_height_target)
@@ -109,7 +109,7 @@ class Scene:
             self._bars("world/com/target", target, colours.TARGET, known)
 
     def _bars(self, path: str, centres: Array, colour: Colour, there: Mask | None = None) -> None:
-        """Level bars across the robot at `centres` [T, 3]."""
+        """Draws level bars across the robot at `centres` [T, 3]."""
         columns = self._rollout.columns
         level = np.broadcast_to(np.array((0.0, 0.0, 1.0), np.float32), centres.shape)
         across = HALF_BAR * _along(level, columns.root_quat_w)[1]
@@ -133,7 +133,7 @@ class Scene:
         self._recording.send_columns(self._prefix + "events", times, rr.TextLog.columns(text=texts, level=levels))
 
     def log_about(self, text: str) -> None:
-        """Writes a text, in Markdown, that says whose walk this is."""
+        """Writes the origin of the walk, a text in Markdown."""
         self._static("about", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
     def series(
@@ -163,13 +163,13 @@ class Scene:
         self._columns(path, rr.Arrows3D.columns(origins=origins, vectors=vectors))
 
     def _points(self, path: str, places: Array, colour: Colour, radius: float, there: Mask | None = None) -> None:
-        """Points at `places` [T, 3] at the steps at which they are `there` [T]."""
+        """Draws points at `places` [T, 3] at the steps where `there` [T] is true."""
         shown = np.ones(len(places), bool) if there is None else there
         self._static(path, rr.Points3D.from_fields(colors=[colour], radii=[radius]))
         self._columns(path, rr.Points3D.columns(positions=places[shown]).partition(shown.astype(np.int32)))
 
     def _lines(self, path: str, ends: Array, colour: Colour, radius: float, there: Mask | None = None) -> None:
-        """Lines between `ends` [T, 2, 3] at the steps at which they are `there` [T]."""
+        """Draws lines between `ends` [T, 2, 3] at the steps where `there` [T] is true."""
         shown = np.ones(len(ends), bool) if there is None else there
         self._static(path, rr.LineStrips3D.from_fields(colors=[colour], radii=[radius]))
         self._columns(path, rr.LineStrips3D.columns(strips=ends[shown]).partition(shown.astype(np.int32)))
@@ -185,7 +185,7 @@ def _mesh(shape: Shape) -> rr.Mesh3D:
 
 
 def _along(normal: Array, root_quat: Array) -> tuple[Array, Array, Array]:
-    """Unit vectors [T, 3] of planes with these normals: along the root's heading, to its left, and out of the plane."""
+    """Returns unit vectors [T, 3] of planes with these normals: along the heading, to the left, out of the plane."""
     w, x, y, z = root_quat.T
     heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2))
     level = np.stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)], axis=1)

@@ -1,4 +1,4 @@
-"""Opening a recording in rerun's viewer, in a window or in a browser."""
+"""Display of a recording in rerun's viewer, in a window or in a browser."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ import rerun_cli
 from humoslope.errors import UserError
 
 HOST = "127.0.0.1"
-"""Only this machine can see what is served."""
+"""Address that is listened on: only this machine can connect."""
 PROGRAMS = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
-"""Where the viewer is in its package, on each system."""
+"""Paths of the viewer in its package, on different systems."""
 START_S = 60.0
-"""How long the page may take to be there, s."""
+"""Longest time until the page is available, s."""
 SERVED = "walk.rrd"
 
 
@@ -49,19 +49,20 @@ def open_window(path: Path) -> None:
 
 
 def has_display() -> bool:
-    """Whether windows can be opened."""
+    """Returns whether windows can be opened."""
     return not sys.platform.startswith("linux") or any(os.environ.get(n) for n in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 @contextmanager
 def served(path: Path, web_port: int, port: int) -> Iterator[str]:
-    """Serves a recording and rerun's page that shows it, as long as the context lasts; gives the page's address.
+    """Serves a recording and rerun's page for it while the context lasts; yields the address of the page.
 
     The page fetches the file as a whole. rerun could also stream it, but then the viewer starts at its end.
 
     Args:
-        web_port: Of the page.
-        port: Of the recording.
+        path: The recording.
+        web_port: Port of the page.
+        port: Port of the recording.
 
     Raises:
         UserError: If a port is in use, or the page does not come up.
@@ -88,7 +89,7 @@ def served(path: Path, web_port: int, port: int) -> Iterator[str]:
 
 
 class _Files(SimpleHTTPRequestHandler):
-    """Hands out the files of a folder to the viewer's page and to no other."""
+    """Serves the files of a folder to the viewer's page and to no other."""
 
     def __init__(self, origin: str, *args: object, **keywords: object) -> None:
         self._origin = origin
@@ -99,14 +100,14 @@ class _Files(SimpleHTTPRequestHandler):
         super().end_headers()
 
     def log_message(self, format: str, *args: object) -> None:
-        """Requests are nobody's business."""
+        """Does not log requests."""
 
 
 def check_port(option: str, number: int) -> None:
-    """Says that a port cannot be listened on before anything is started.
+    """Checks that a port can be listened on.
 
     Raises:
-        UserError: If so.
+        UserError: If it cannot.
     """
     if not 1 <= number <= 65535:
         raise UserError(f"--{option} is {number}; it must be between 1 and 65535.")
@@ -132,7 +133,7 @@ def _wait_for(page: subprocess.Popen[bytes], web_port: int, said: IO[str]) -> No
 
 
 def program() -> str:
-    """The viewer itself: the script that pip makes of it passes on neither signals nor exit codes."""
+    """Returns the path of the viewer. The script that pip installs forwards neither signals nor exit codes."""
     folder = Path(rerun_cli.__file__).parent
     for name in PROGRAMS:
         if (folder / name).is_file():
@@ -141,7 +142,7 @@ def program() -> str:
 
 
 def _failure(code: int, said: IO[str]) -> UserError:
-    """Why the viewer ended, from what it wrote to its error stream."""
+    """Returns the reason why the viewer ended, from its error output."""
     said.seek(0)
     text = said.read()
     if any(word in text.lower() for word in ("graphics driver", "adapter", "render context")):
@@ -149,5 +150,5 @@ def _failure(code: int, said: IO[str]) -> UserError:
             "rerun finds no graphics driver it can draw with; install one for Vulkan (on Debian: mesa-vulkan-drivers), "
             "look from a browser with --web, or make a video with `humoslope video`."
         )
-    last = text.strip().splitlines()[-1].strip().rstrip(".") if text.strip() else "it said nothing"
+    last = text.strip().splitlines()[-1].strip().rstrip(".") if text.strip() else "without a message"
     return UserError(f"rerun's viewer ended with code {code}: {last}.")
