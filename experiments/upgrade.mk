@@ -1,7 +1,7 @@
 # How the shipped checkpoints were brought into the second format, with the options that their trainings ended with.
-# OLD is a checkout or a folder with the files of the first format.
+# OLD is a folder with the files of the first format, such as those of commit 454d066.
 BIN ?= .venv/bin
-OLD ?= experiments/checkpoints.old
+OLD ?= old
 NEW ?= experiments/checkpoints
 
 STAGE1 := --preset cpu --env.num-envs 1024 --agent.entropy-coef 0.001 --env.rewards.track-velocity.params.std 0.25
