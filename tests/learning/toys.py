@@ -15,6 +15,7 @@ from humoslope.learning.learner import Learner, Transition
 from humoslope.learning.networks import network
 from humoslope.learning.policy import PolicySpec
 from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms
+from humoslope.mdp.declare import measured_as
 from humoslope.registry import TaskCfg
 from tasks.stage1 import stage1
 
@@ -142,6 +143,7 @@ def toy_td3() -> TaskCfg:
     return cfg
 
 
+@measured_as("custom")
 def scan_image(env: ManagerBasedRlEnv) -> Tensor:
     """The height scan as an image [N, 1, 7, 7]."""
     size = env.height_scan.cfg.size
