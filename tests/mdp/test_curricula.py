@@ -199,8 +199,10 @@ def test_the_command_adds_up_over_the_episode_and_is_forgotten_with_it(env, mask
     assert end(env, term, mask(N, 1)) == [2, 1, 2, 2, 2, 2]
     walk(env, term, 0.3, commanded=0.0)  # in all 0.3 of 4 m, but of none in env 1
     assert end(env, term, EVERYWHERE) == [1, 1, 1, 1, 1, 1]
-    walk(env, term, 0.0, commanded=0.9)
+    walk(env, term, 5.0, commanded=9.0)
     assert end(env, term, EVERYWHERE) == [1] * N
+    walk(env, term, 0.0, commanded=9.0)  # what was walked is forgotten too
+    assert end(env, term, EVERYWHERE) == [0] * N
 
 
 @pytest.mark.parametrize(("scale", "highest"), [(1.0, 0), (0.81, 0), (0.79, 1), (0.5, 2), (0.1, 4), (0.0, 4)])
