@@ -14,6 +14,8 @@ import pytest
 
 from humoslope.cli import main
 from humoslope.evaluation.track.progress import Progress
+from humoslope.evaluation.track.protocol import SWEEP_GRADES
+from humoslope.evaluation.track.run import Plan
 from humoslope.learning import checkpoint
 
 TINY = ("--grades", "0", "30", "--tiers", "0.6", "--trials", "2", "--parallel-trials", "1", "--timeout-s", "1.2")
@@ -148,6 +150,40 @@ def test_a_sweep_says_how_steep_a_track_is_mastered(path: Path, capsys: pytest.C
         ("12.0", "0.0", "1"),
         ("13.0", "0.0", "1"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("options", "grades", "trials"),
+    [
+        ((), (0.0, 10.0, 20.0, 30.0), 128),
+        (("--sweep",), SWEEP_GRADES, 32),
+        (("--no-sweep",), (0.0, 10.0, 20.0, 30.0), 128),
+        (("--sweep", "--trials", "8"), SWEEP_GRADES, 8),
+        (("--sweep", "--no-sweep"), (0.0, 10.0, 20.0, 30.0), 128),
+        (("--out", "--sweep=1"), None, None),
+    ],
+)
+def test_the_defaults_of_the_protocol_follow_the_choice_of_a_sweep(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...],
+    grades: tuple[float, ...] | None,
+    trials: int | None,
+) -> None:
+    plans: list[Plan] = []
+    monkeypatch.setattr("humoslope.cli.evaluate.trained", lambda path: path)
+    monkeypatch.setattr(
+        "humoslope.cli.evaluate.evaluate", lambda found, plan, console: bool(plans.append(plan)) or True
+    )
+    if grades is None:
+        with pytest.raises(SystemExit) as stop:
+            main(["evaluate", "model_0.pt", *options])
+        assert stop.value.code == 2
+        assert "--out" in capsys.readouterr().err
+        return
+    assert main(["evaluate", "model_0.pt", *options]) == 0
+    assert (plans[0].protocol.grades, plans[0].protocol.trials) == (grades, trials)
+    assert plans[0].sweep == (grades == SWEEP_GRADES)
 
 
 @pytest.mark.parametrize(

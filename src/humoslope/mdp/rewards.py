@@ -112,7 +112,7 @@ def joint_pos_limits(env: Env, soft: Annotated[float, Range(0.0, 1.0, open_low=T
     """Distance of the joints beyond the middle share of their range, summed, rad.
 
     Args:
-        soft: That share.
+        soft: Middle share of the range of every joint within which there is no penalty.
     """
     low, high = env.joint_range.unbind(dim=1)
     margin = 0.5 * (1.0 - soft)
