@@ -222,7 +222,7 @@ def test_at_speed_zero_the_command_is_to_stand_and_the_robot_starts_on_the_slope
     assert not env.commands.moving.any()
     env.sim.state("qpos")[:, 1] += 0.5  # off the centre line: a robot that steers would turn
     env.signals.refresh()
-    env.commands.step(env.step_dt)
+    env.commands.step()
     assert env.commands.velocity.abs().max() == 0.0
     np.testing.assert_allclose(torch.rad2deg(_grade_below(env)), GRADES_OF_STAND, atol=0.01)
     env.sim.state("qpos")[:, 1] -= 0.5
