@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from humoslope.check import learning, physics
+from humoslope.check import learning, machine, physics
 from humoslope.check.finding import Finding
 from humoslope.check.host_sync import check_host_sync
 from humoslope.cli import check, main
@@ -82,6 +82,16 @@ def test_the_checks_cover_what_the_help_promises() -> None:
         )
     ]
     assert names == ["machine", "contacts", "motion", "graphs", "random actions", "host syncs", "speed", "training"]
+
+
+def test_a_gpu_that_torch_cannot_use_is_found(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(machine, "NVIDIA_DRIVER", tmp_path / "version")
+    assert wrong(machine.describe_machine(torch.device("cpu"))) == []
+    (tmp_path / "version").touch()
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(torch.version, "cuda", None)
+    (finding,) = [f for f in machine.describe_machine(torch.device("cpu")) if not f.right]
+    assert "there is an NVIDIA driver, but torch is installed without CUDA" in finding.measured
 
 
 def test_contacts_and_motion_are_right_here_and_a_kick_is_found(monkeypatch) -> None:

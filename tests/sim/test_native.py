@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from humoslope.cpu import usable_cores
+from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.sim import make_simulation
+from humoslope.registry import build_task
+from humoslope.sim import make_simulation, native
 
 
 def test_native_worlds_step_as_mj_step_bit_for_bit(g1_on_plane: mujoco.MjModel) -> None:
@@ -44,6 +47,19 @@ def test_the_number_of_threads_does_not_change_the_motion(rig: mujoco.MjModel) -
         simulation.step(50)
         ends.append(simulation.state("qpos").clone())
     assert torch.equal(*ends)
+
+
+def test_the_number_of_threads_is_an_option_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    started, batch = [], native.mjbatch.Batch
+    monkeypatch.setattr(
+        native.mjbatch, "Batch", lambda model, n, threads: started.append(threads) or batch(model, n, threads)
+    )
+    cfg = build_task("HumoSlope-Stage1-Unitree-G1").env
+    cfg.num_envs, cfg.sim.backend = 2, "native"
+    for threads in (3, 0):
+        cfg.sim.num_threads = threads
+        ManagerBasedRlEnv(cfg)
+    assert started == [3, usable_cores()]
 
 
 def test_worlds_outside_the_mask_are_left_as_they_are_and_the_others_step_as_ever(rig: mujoco.MjModel) -> None:
