@@ -1,4 +1,4 @@
-"""Where a result comes from: configurations as plain data, and the state of the code."""
+"""Origin of a result: configurations as plain data, and the state of the code."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def commit() -> str:
 
 
 def git_state() -> str:
-    """Commit, changed files and differences of the checkout, as far as git can tell."""
+    """Commit, changed files and differences of the checkout, as far as git knows."""
     root = Path(humoslope.__file__).parent
 
     def git(*words: str) -> str:

@@ -13,19 +13,19 @@ from humoslope.learning.benchmark import Measurement
 TASK = "HumoSlope-Stage1-Unitree-G1"
 
 
-def measured(task: str, typed: list[str], worlds: int) -> Measurement:
+def measured(task: str, typed: list[str], num_envs: int) -> Measurement:
     """A machine that steps 1,000 times a second for each world: env.step takes twice and PPO four times as long, the
     terrain descriptor a twentieth."""
-    raw = 1000.0 * worlds
+    raw = 1000.0 * num_envs
     return Measurement(
-        worlds=worlds,
+        num_envs=num_envs,
         raw=[raw] * 3,
         env=[raw / 2, raw / 2, raw / 10],
         ppo=[raw / 4] * 3,
         descriptor_s=[5e-5, 5e-5, 2e-4],
         collection_s=[0.1] * 3,
         learning_s=[0.05] * 3,
-        peak_mib=500.0 + worlds,
+        peak_mib=500.0 + num_envs,
         parts={"physics": 0.75, "rest": 0.25},
     )
 
@@ -55,8 +55,8 @@ def test_the_file_holds_every_round(tmp_path, capsys):
 
 
 def test_a_gpu_is_named_with_its_memory(tmp_path, monkeypatch, capsys):
-    def on_card(task, typed, worlds):
-        return dataclasses.replace(measured(task, typed, worlds), device="Card, 80 GiB", card_mib=4000.0 + worlds)
+    def on_card(task, typed, num_envs):
+        return dataclasses.replace(measured(task, typed, num_envs), device="Card, 80 GiB", card_mib=4000.0 + num_envs)
 
     monkeypatch.setattr(bench, "_measure_apart", on_card)
     out = tmp_path / "bench.json"

@@ -152,7 +152,7 @@ def test_a_slow_environment_is_found(monkeypatch, share: float, found: list[str]
     monkeypatch.setattr(learning, "measure", measured)
     findings, results = learning.check_speed(TASK, build_task(TASK), (4, 8), 2)
     assert wrong(findings) == found
-    assert [result.worlds for result in results] == [4, 8]
+    assert [result.num_envs for result in results] == [4, 8]
     assert "card 900 MiB" in findings[0].measured
 
 

@@ -28,6 +28,7 @@ from humoslope.learning.logger import ProgressLine
 from humoslope.learning.rng import seed_everything
 from humoslope.learning.run_folder import saved_options
 from humoslope.learning.trainer import Trainer
+from humoslope.managers import RewardTermCfg
 
 PATIENCE_S = 600.0
 """How long a child process may take before the test gives up on it; no result depends on it."""
@@ -291,3 +292,21 @@ def test_weights_that_are_not_finite_are_never_written(task, tiny, tmp_path):
     with pytest.raises(UserError, match=r"is not written: policy\.weights\..* holds values that are not finite"):
         trainer.save(tmp_path / "model_0.pt")
     assert list(tmp_path.iterdir()) == []
+
+
+def load_share(env: ManagerBasedRlEnv) -> torch.Tensor:
+    """A reward that is 0/0 while both feet are in the air, as they are when robots start."""
+    force = env.signals.foot_force
+    return force[:, 0] / force.sum(dim=1)
+
+
+def test_a_reward_that_divides_by_zero_is_named_with_its_envs_and_iteration(task, tiny):
+    cfg, _ = parse(TrainArgs(), task, tiny)
+    cfg.env.rewards.load_share = RewardTermCfg(load_share)
+    seed_everything(cfg.env.seed)
+    trainer = Trainer(task, cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True))
+    said = (
+        r"reward 'load_share' was not finite in \d of 8 envs \(first in step \d+ since the last look\) \(iteration 1\)"
+    )
+    with pytest.raises(UserError, match=said):
+        trainer.iterate()

@@ -49,8 +49,8 @@ def check_speed(
     last = results[-1]
     env_share = median(env / raw for env, raw in zip(last.env, last.raw, strict=True))
     loop_share = median(loop / raw for loop, raw in zip(last.ppo, last.raw, strict=True))
-    findings.append(at_least(f"{last.worlds} envs, env.step of raw", env_share, ENV_SHARE))
-    findings.append(at_least(f"{last.worlds} envs, training of raw", loop_share, LOOP_SHARE))
+    findings.append(at_least(f"{last.num_envs} envs, env.step of raw", env_share, ENV_SHARE))
+    findings.append(at_least(f"{last.num_envs} envs, training of raw", loop_share, LOOP_SHARE))
     return findings, results
 
 

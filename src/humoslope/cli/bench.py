@@ -27,7 +27,7 @@ from humoslope.learning.benchmark import RANDOM_STD, Measurement, measure
 from humoslope.presets import Preset
 from humoslope.registry import all_tasks, load_content
 
-TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 worlds; below 2,048 MiB at 4096."
+TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 envs; below 2,048 MiB at 4096."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +76,7 @@ def run(arguments: list[str]) -> None:
     results = []
     for size in sorted(options.sizes):
         results.append(_measure_apart(task, typed, size))
-        console.print(f"  {size} worlds: {median(results[-1].env):,.0f} steps/s", highlight=False)
+        console.print(f"  {size} envs: {median(results[-1].env):,.0f} steps/s", highlight=False)
     console.print(speed_table(results, options.preset), descriptor_table(results), parts_table(results))
     if options.out:
         report = _report(task, typed, options, driver, load, results)
@@ -84,37 +84,37 @@ def run(arguments: list[str]) -> None:
         console.print(f"wrote {options.out}", soft_wrap=True)
 
 
-def _measure_apart(task: str, typed: list[str], worlds: int) -> Measurement:
+def _measure_apart(task: str, typed: list[str], num_envs: int) -> Measurement:
     # A fresh interpreter: a forked one would start with this one's memory.
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
-            return pool.submit(_measure, task, typed, worlds).result()
+            return pool.submit(_measure, task, typed, num_envs).result()
         except BrokenProcessPool:
-            raise UserError(f"the process with {worlds} worlds was killed; probably memory ran out.") from None
+            raise UserError(f"the process with {num_envs} envs was killed; probably memory ran out.") from None
 
 
-def _measure(task: str, typed: list[str], worlds: int) -> Measurement:
+def _measure(task: str, typed: list[str], num_envs: int) -> Measurement:
     load_content()
     cfg, options = parse(Options(), task, typed, "bench")
-    cfg.env.num_envs = worlds
+    cfg.env.num_envs = num_envs
     return measure(task, cfg, options.rounds, Path(options.checkpoint) if options.checkpoint else None)
 
 
 def speed_table(results: list[Measurement], preset: Preset) -> Table:
     """Table of speed and memory with a row for each number of envs."""
-    reference = next((r for r in results if r.worlds == 256), results[0])
+    reference = next((r for r in results if r.num_envs == 256), results[0])
     caption = (
-        f"collect, learn: ms of a PPO iteration. cost: of one world's env.step, relative to {reference.worlds} worlds."
+        f"collect, learn: ms of a PPO iteration. cost: of one env's env.step, relative to {reference.num_envs} envs."
     )
     on_card = results[0].card_mib is not None
-    title = f"Control steps of all worlds per second, {results[0].device}"
+    title = f"Control steps of all envs per second, {results[0].device}"
     table = Table(title=title, caption=f"{caption}\n{TARGETS}" if preset == "cpu" and not on_card else caption)
     memory = ("MiB", "card MiB") if on_card else ("MiB",)
-    for column in ("worlds", "raw", "env.step", "of raw", "PPO", "of raw", "collect", "learn", *memory, "cost"):
+    for column in ("envs", "raw", "env.step", "of raw", "PPO", "of raw", "collect", "learn", *memory, "cost"):
         table.add_column(column, justify="right")
     for r in results:
         table.add_row(
-            str(r.worlds),
+            str(r.num_envs),
             f"{median(r.raw):,.0f}",
             f"{median(r.env):,.0f}",
             f"{_share(r.env, r.raw):.0%}",
@@ -132,17 +132,17 @@ def speed_table(results: list[Measurement], preset: Preset) -> Table:
 def descriptor_table(results: list[Measurement]) -> Table:
     """Table of the cost of the terrain descriptor, which is measured even if the task does not read it."""
     title = "Scan and terrain descriptor"
-    table = Table("worlds", "ms a step", "of raw", title=title, caption="of raw: share of the bare physics' step")
+    table = Table("envs", "ms a step", "of raw", title=title, caption="of raw: share of the bare physics' step")
     for r in results:
-        share = median(s * raw / r.worlds for s, raw in zip(r.descriptor_s, r.raw, strict=True))
-        table.add_row(str(r.worlds), f"{1e3 * median(r.descriptor_s):.2f}", f"{share:.1%}")
+        share = median(s * raw / r.num_envs for s, raw in zip(r.descriptor_s, r.raw, strict=True))
+        table.add_row(str(r.num_envs), f"{1e3 * median(r.descriptor_s):.2f}", f"{share:.1%}")
     return table
 
 
 def parts_table(results: list[Measurement]) -> Table:
     """Table of the shares of time in `env.step`, at the measured number of envs that is nearest to 512."""
-    result = min(results, key=lambda r: abs(r.worlds - 512))
-    table = Table("part", "share", title=f"env.step with {result.worlds} worlds")
+    result = min(results, key=lambda r: abs(r.num_envs - 512))
+    table = Table("part", "share", title=f"env.step with {result.num_envs} envs")
     for part, share in result.parts.items():
         table.add_row(part, f"{share:.1%}")
     return table
@@ -168,6 +168,6 @@ def _report(
             "load_before": load,
             "device": results[0].device,
         },
-        "unit": "control steps of all worlds per second; one value for each round",
+        "unit": "control steps of all envs per second; one value for each round",
         "sizes": [dataclasses.asdict(r) for r in results],
     }

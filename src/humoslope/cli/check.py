@@ -177,7 +177,7 @@ def guarded(check: Callable[[], list[Finding]]) -> list[Finding]:
         traceback.print_exc()
         return [Finding("stopped", f"{type(error).__name__}: {error}", "", right=False)]
     finally:
-        gc.collect()  # an environment of thousands of worlds holds gigabytes
+        gc.collect()  # an environment of thousands of envs holds gigabytes
 
 
 def table(findings: dict[str, list[Finding]]) -> Table:

@@ -1,4 +1,4 @@
-"""What a task costs over the bare physics: speed of physics, environment and learning, in turn, in one process."""
+"""Cost of a task over the bare physics: speed of physics, environment and learning, in turn, in one process."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ PARTS = {
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was measured with one number of worlds.
+    """Figures for one number of envs.
 
     Attributes:
-        raw, env, ppo: Control steps of all worlds per second, one value for each round.
-        descriptor_s: Scan and terrain descriptor of all worlds, once, s, one value for each round.
+        raw, env, ppo: Control steps of all envs per second, one value for each round.
+        descriptor_s: Scan and terrain descriptor of all envs, once, s, one value for each round.
         collection_s, learning_s: The two halves of a PPO iteration, s.
         peak_mib: Largest host memory of the process through a whole PPO iteration, MiB.
         parts: Share of each part in the time of `env.step`.
@@ -59,7 +59,7 @@ class Measurement:
         card_mib: Memory of the GPU in use after the last PPO iteration, of all processes on it, MiB; None on a CPU.
     """
 
-    worlds: int
+    num_envs: int
     raw: list[float]
     env: list[float]
     ppo: list[float]
@@ -105,12 +105,12 @@ def measure(task: str, cfg: TaskCfg, rounds: int, checkpoint: Path | None = None
     with torch.inference_mode():
         parts = _parts(env, act)
     collection, learning = zip(*times, strict=True)
-    worlds = cfg.env.num_envs
-    rollout = worlds * cfg.agent.num_steps_per_env
+    num_envs = cfg.env.num_envs
+    rollout = num_envs * cfg.agent.num_steps_per_env
     return Measurement(
-        worlds=worlds,
-        raw=[worlds * BLOCK / raw_s for raw_s, _, _ in blocks],
-        env=[worlds * BLOCK / env_s for _, env_s, _ in blocks],
+        num_envs=num_envs,
+        raw=[num_envs * BLOCK / raw_s for raw_s, _, _ in blocks],
+        env=[num_envs * BLOCK / env_s for _, env_s, _ in blocks],
         ppo=[rollout / (c + u) for c, u in times],
         descriptor_s=[descriptor_s / BLOCK for _, _, descriptor_s in blocks],
         collection_s=list(collection),

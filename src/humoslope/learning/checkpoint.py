@@ -99,7 +99,7 @@ def sealed(archive: bytes) -> bytes:
 
 
 def is_sealed(content: bytes) -> bool:
-    """Whether the SHA-256 at the end of a file is that of the bytes before it."""
+    """True if the SHA-256 at the end of a file is that of the bytes before it."""
     body, digest_ = content[:-64], content[-64:]
     return body.endswith(MARK) and hashlib.sha256(body).hexdigest().encode() == digest_
 

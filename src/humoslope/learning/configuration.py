@@ -34,7 +34,7 @@ def trained_cfg(path: Path, state: Mapping[str, Any]) -> TaskCfg:
 
 
 def departures(state: Mapping[str, Any], trained: TaskCfg, today: TaskCfg, groups: Iterable[str]) -> str:
-    """What the policy sees and moves differently in today's task, as a list in words; "" if nothing.
+    """List, in words, of what the policy sees and moves differently in today's task; "" if nothing.
 
     Args:
         state: A loaded checkpoint.
@@ -61,7 +61,7 @@ def changes_since(path: Path, state: Mapping[str, Any], trained: TaskCfg, groups
 
 
 def _seen(cfg: TaskCfg, groups: Iterable[str]) -> dict[str, Any]:
-    """What a policy sees, moves and is asked for, as plain data."""
+    """Observations, actions and commands of a policy as plain data."""
     env, sim = cfg.env, cfg.env.sim
     observations = {name: plain(group) for name, group in env.observations.items() if name in groups}
     return {

@@ -29,7 +29,7 @@ class Processes:
 
     @property
     def is_first(self) -> bool:
-        """Whether this is the process that logs and saves."""
+        """True in the process that logs and saves."""
         return self.rank == 0
 
 

@@ -218,7 +218,7 @@ def load_weights(module: torch.nn.Module, state: Mapping[str, Any], path: Path) 
 
 
 def parent_record(path: Path, state: Mapping[str, Any]) -> dict[str, Any]:
-    """What a checkpoint keeps of the one that its run started from."""
+    """Record of a checkpoint in those of the run that starts from it."""
     return {
         "path": str(path),
         "sha256": checkpoint.digest(path),

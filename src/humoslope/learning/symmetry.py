@@ -67,7 +67,7 @@ def with_image(image: Image, x: Tensor) -> Tensor:
 
 
 def group_image(env: ManagerBasedRlEnv, name: str, group: ObservationGroupCfg) -> Image:
-    """How a whole observation group, history included, is mirrored.
+    """Mirror image of a whole observation group, history included.
 
     Raises:
         UserError: If a term does not say how it looks in the mirror.
