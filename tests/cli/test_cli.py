@@ -149,7 +149,7 @@ def test_a_value_of_the_wrong_kind_is_a_short_message_and_exit_code_2(capsys, fo
         (["--env.scene.terrain.columns.ramp-up", "-1"], "the share of 'ramp-up' is -1"),
         (["--env.command.speed", "0.8", "0.3"], "speed (0.8, 0.3) must be (lowest, highest)"),
         (["--env.command.standing-share", "1.5"], "standing_share 1.5 must be between 0 and 1"),
-        (["--env.events.friction.params.friction", "1.0", "0.5"], "friction (1, 0.5) must be (lowest, highest)"),
+        (["--env.events.friction.params.friction", "1.0", "0.5"], "friction is (1, 0.5); it must be (lowest, highest)"),
         (["--agent.max-iterations", "0"], "agent.max_iterations 0 must be at least 1"),
         (["--agent.num-mini-batches", "1000"], "num_mini_batches 1000 is more than the 96 samples"),
         (["--run-dir", "file/run"], "is no folder one can write to"),
