@@ -39,7 +39,7 @@ def test_mistakes_are_said_in_one_sentence(mistake: Callable[..., str], run_dir:
     assert "does not exist" in mistake("curve", str(tmp_path / "nowhere"))
     (tmp_path / "empty").mkdir()
     assert "holds no curves" in mistake("curve", str(tmp_path / "empty"))
-    assert "cannot write the curve" in mistake("curve", str(run_dir), "--out", str(tmp_path / "a.docx"))
+    assert "cannot write the figure" in mistake("curve", str(run_dir), "--out", str(tmp_path / "a.docx"))
 
 
 def test_a_run_goes_on_from_the_table_that_is_kept_of_it(run_dir: Path, tmp_path: Path) -> None:
