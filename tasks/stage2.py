@@ -71,11 +71,10 @@ def rewards_with_bsga() -> Terms[RewardTermCfg]:
     return rewards
 
 
-def events_with_cue() -> Terms[EventTermCfg]:
-    """Stage I's randomisation without the harness, as the actor can walk, and the cue that the BSGA terms share."""
+def unaided() -> Terms[EventTermCfg]:
+    """Stage I's randomisation without the harness, as the actor can walk."""
     events = randomisation()
     events.harness = None
-    events.slope_gait = EventTermCfg(SlopeGait)
     return events
 
 
@@ -91,7 +90,8 @@ def stage2() -> TaskCfg:
             observations=Terms(actor=actor_group(), critic=critic_with_cue()),
             rewards=rewards_with_bsga(),
             terminations=falls(),
-            events=events_with_cue(),
+            events=unaided(),
+            observers=Terms(slope_gait=TermCfg(SlopeGait)),  # the cue that the BSGA terms share
             curriculum=Terms(terrain_levels=TermCfg(curricula.TerrainLevels, {"spread": 1.0})),
         ),
         agent=PpoCfg(critic_warmup_iterations=40, entropy_coef=0.001),
@@ -131,7 +131,7 @@ def stage2_no_bsga() -> TaskCfg:
 
 def _without_priors(cfg: TaskCfg) -> TaskCfg:
     cfg.env.rewards = walking_rewards()
-    cfg.env.events.slope_gait = None
+    cfg.env.observers.slope_gait = None
     assert cfg.start is not None
     cfg.start.calibrated = ""
     return cfg

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from humoslope.check.host_sync import HostSync, NoHostSync, no_host_sync
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.managers import EventTermCfg, ObservationTermCfg, RewardTermCfg
+from humoslope.managers import ObservationTermCfg, RewardTermCfg, TermCfg
 from humoslope.mdp import bsga, observations
 from humoslope.mdp.bsga_memory import SlopeGait
 from humoslope.slope.descriptor import phi5
@@ -23,7 +23,7 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
 ) -> None:
     def change(cfg: EnvCfg) -> None:
         cfg.observations.critic.terms.terrain_descriptor = ObservationTermCfg(observations.terrain_descriptor)
-        cfg.events.slope_gait = EventTermCfg(SlopeGait)
+        cfg.observers.slope_gait = TermCfg(SlopeGait)
         cfg.rewards.com_height = RewardTermCfg(bsga.ComHeight, {"nominal": 0.69})
         cfg.rewards.hip = RewardTermCfg(bsga.HipPropulsion)
         cfg.rewards.brake = RewardTermCfg(bsga.KneeBraking)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,6 +25,7 @@ from humoslope.managers import (
     Log,
     ObservationGroupCfg,
     ObservationManager,
+    ObserverManager,
     RewardManager,
     RewardTermCfg,
     TermCfg,
@@ -121,6 +121,7 @@ class EnvCfg(StrictCfg):
     terminations: Terms[TerminationTermCfg] = field(default_factory=Terms)
     events: Terms[EventTermCfg] = field(default_factory=Terms)
     curriculum: Terms[TermCfg] = field(default_factory=Terms)
+    observers: Terms[TermCfg] = field(default_factory=Terms)
 
 
 class ManagerBasedRlEnv:
@@ -141,7 +142,7 @@ class ManagerBasedRlEnv:
         step_dt: Duration of a control step, s.
         start_root_pos_w: [N, 3] position of the root at the start of the episode, m.
         diverged: [N] bool; envs whose physics failed numerically in the last step.
-        observers: Functions called in every step with the environment, see `step`.
+        observers: What measures and records, see `ObserverManager`.
         terminal_observations: See `enable_terminal_observations`.
     """
 
@@ -173,7 +174,6 @@ class ManagerBasedRlEnv:
         self.steps_since_reset = self.zeros(dtype=torch.int64)
         self.log = Log(self.device)
         self.finite = FiniteWatch(self.num_envs, self.device)
-        self.observers: list[Callable[[ManagerBasedRlEnv], None]] = []
         self.terrain = TerrainQueries(terrain, self.device)
         self.tiles = Tiles(terrain, cfg.num_envs, self.device)
         self.signals = Signals(self.sim, self.robot, self.terrain)
@@ -198,7 +198,9 @@ class ManagerBasedRlEnv:
         everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._restart(everywhere)
         self.observations = ObservationManager(self, cfg.observations)
+        self.observers = ObserverManager(self, cfg.observers)
         self.rewards = RewardManager(self, cfg.rewards)
+        self.observers.reset(everywhere)  # rewards were called once, to find their shapes
         self._obs = self.observations.compute(everywhere)
 
     @on_one_thread
@@ -251,8 +253,7 @@ class ManagerBasedRlEnv:
         self.log.add("Train/diverged", self.diverged)
         self.log.add("Train/falls_per_second", terminated / self.step_dt)
         self.log.add("Train/speed", self.signals.root_lin_vel_t[:, 0], self.commands.moving)
-        for observe in self.observers:
-            observe(self)
+        self.observers.step()
 
         self.events.step()
 
@@ -312,6 +313,7 @@ class ManagerBasedRlEnv:
         # out early, however well they walked.
         self.terminations.reset(mask, self.steps_since_reset == self.episode_length_buf)
         self.observations.reset(mask)
+        self.observers.reset(mask)
         self._restart(mask)
 
     def _restart(self, mask: Tensor) -> None:

@@ -56,7 +56,7 @@ def parameters_of(kind, term):
 def env():
     """An environment with everything that a term of any task may refer to."""
     cfg = build_task("HumoSlope-Stage1-Unitree-G1").env
-    cfg.events.slope_gait = build_task("HumoSlope-Stage2-Unitree-G1").env.events.slope_gait
+    cfg.observers.slope_gait = build_task("HumoSlope-Stage2-Unitree-G1").env.observers.slope_gait
     cfg.num_envs, cfg.sim.backend, cfg.sim.device = 2, "native", "cpu"
     return ManagerBasedRlEnv(cfg)
 

@@ -12,9 +12,9 @@ BSGA = {"com_height", "hip_propulsion", "knee_braking", "stride", "swing_hip"}
 ABLATIONS = {
     "HumoSlope-Stage2-NoZMP-Unitree-G1": {"start.task", "start.shipped"},
     "HumoSlope-Stage2-NoCriticCue-Unitree-G1": {"env.observations.critic"},
-    "HumoSlope-Stage2-NoRewardPriors-Unitree-G1": {"env.rewards", "env.events.slope_gait", "start.calibrated"},
+    "HumoSlope-Stage2-NoRewardPriors-Unitree-G1": {"env.rewards", "env.observers.slope_gait", "start.calibrated"},
     "HumoSlope-Stage2-NoBSGA-Unitree-G1": {
-        *("env.observations.critic", "env.rewards", "env.events.slope_gait", "start.calibrated")
+        *("env.observations.critic", "env.rewards", "env.observers.slope_gait", "start.calibrated")
     },
 }
 

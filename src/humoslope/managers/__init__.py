@@ -13,6 +13,7 @@ from humoslope.managers.observation import (
     ObservationManager,
     ObservationTermCfg,
 )
+from humoslope.managers.observer import ObserverManager
 from humoslope.managers.reward import RewardManager, RewardTermCfg
 from humoslope.managers.termination import TerminationManager, TerminationTermCfg
 from humoslope.managers.terms import StatefulTerm, TermCfg, Terms
@@ -31,6 +32,7 @@ __all__ = [
     "ObservationGroupCfg",
     "ObservationManager",
     "ObservationTermCfg",
+    "ObserverManager",
     "RewardManager",
     "RewardTermCfg",
     "StatefulTerm",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import inspect
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -136,18 +135,6 @@ def _check_params(where: str, term: TermCfg, env: Env, implicit: tuple[str, ...]
     if missing:
         raise UserError(f"{where}: parameter '{missing[0]}' of {getattr(func, '__name__', func)} has no value.")
     ranges.check_params(where, func, params, env)
-    for name, value in params.items():  # of whatever declares no range
-        if not all(math.isfinite(number) for number in _numbers(value)):
-            raise UserError(f"{where}: parameter '{name}' is {value}; it must be finite.")
-
-
-def _numbers(value: Any) -> Iterator[float]:
-    """All floating-point numbers in a parameter, however nested."""
-    if isinstance(value, float):
-        yield value
-    elif isinstance(value, Mapping | list | tuple):
-        for item in value.values() if isinstance(value, Mapping) else value:
-            yield from _numbers(item)
 
 
 class StatefulTerms:

@@ -1,7 +1,7 @@
 """Rewards of the Biomechanical Slope Gait Adapter (BSGA; paper, section 3.2; mathematics in `slope/bsga.py`).
 
-All terms share the event `SlopeGait`, which is named by the parameter `cue`. Every term is multiplied by its progress,
-so that standing still in a good posture earns nothing while walking is commanded; this gate is ours.
+All terms share the observer `SlopeGait`, which is named by the parameter `cue`. Every term is multiplied by its
+progress, so that standing still in a good posture earns nothing while walking is commanded; this gate is ours.
 `bsga.branch_weights` gives the weights under which the terms sum to the paper's core reward. The descriptor of a scan
 without a plane is flat, and such an env is treated as on the flat.
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 HIP_PITCH, KNEE, ANKLE_PITCH = ".*_hip_pitch_joint", ".*_knee_joint", ".*_ankle_pitch_joint"
 
 CUE = "slope_gait"
-"""Name of the event that is the terms' `SlopeGait`."""
+"""Name of the observer that is the terms' `SlopeGait`."""
 
 
 class ComHeight(StatefulTerm):
@@ -51,7 +51,7 @@ class ComHeight(StatefulTerm):
             pose 0.690.
         std: Error at which the reward has fallen to 1/e, m.
         offset_up, offset_down: Addition to the target at full slope, uphill and downhill, m.
-        cue: Name of the `SlopeGait` event.
+        cue: Name of the `SlopeGait` observer.
     """
 
     def __init__(
@@ -80,8 +80,7 @@ class ComHeight(StatefulTerm):
         )
 
     def reset(self, mask: Tensor) -> None:
-        """Clears the progress of the envs in `mask`."""
-        self._cue.reset(mask)
+        """The cue, which remembers, is reset by the environment."""
 
 
 class HipPropulsion(StatefulTerm):
@@ -91,7 +90,7 @@ class HipPropulsion(StatefulTerm):
         hip, knee, ankle: Joint patterns.
         level: Target share on the flat.
         rise: Rise of the target to full slope.
-        cue: Name of the `SlopeGait` event.
+        cue: Name of the `SlopeGait` observer.
     """
 
     def __init__(
@@ -114,9 +113,8 @@ class HipPropulsion(StatefulTerm):
         return bsga.hip_reward(share, rho, up, self._level, self._rise) * self._cue.progress(env)
 
     def reset(self, mask: Tensor) -> None:
-        """Clears work and progress of the envs in `mask`."""
+        """Clears the work of the envs in `mask`."""
         self._work.reset(mask)
-        self._cue.reset(mask)
 
 
 class KneeBraking(StatefulTerm):
@@ -128,7 +126,7 @@ class KneeBraking(StatefulTerm):
         rise: Rise of the target to full slope, rad.
         std: Error at which the reward has fallen to 1/e, rad.
         full_share: Knee's share of the negative work from which the reward is full.
-        cue: Name of the `SlopeGait` event.
+        cue: Name of the `SlopeGait` observer.
     """
 
     def __init__(
@@ -161,9 +159,8 @@ class KneeBraking(StatefulTerm):
         return braking * self._cue.progress(env)
 
     def reset(self, mask: Tensor) -> None:
-        """Clears work and progress of the envs in `mask`."""
+        """Clears the work of the envs in `mask`."""
         self._work.reset(mask)
-        self._cue.reset(mask)
 
 
 class Stride(StatefulTerm):
@@ -181,7 +178,7 @@ class Stride(StatefulTerm):
         force: Contact force from which a foot carries, N.
         settle_s: Time in the air before a touchdown counts, s.
         hold_s: Time for which a step counts, s; 1.0 is two and a half steps.
-        cue: Name of the `SlopeGait` event.
+        cue: Name of the `SlopeGait` observer.
     """
 
     def __init__(
@@ -197,20 +194,20 @@ class Stride(StatefulTerm):
         cue: str = CUE,
     ) -> None:
         self._step_time, self._margin, self._shortening, self._std = step_time, margin, shortening, std
-        self._settle, self._hold = settle_s, hold_s
+        self._settle, self._hold = (round(seconds / env.step_dt) for seconds in (settle_s, hold_s))
         self._air = AirTime(env, force)
         self._length = env.zeros()  # [N] m of the last step
-        self._age = env.zeros() + math.inf  # [N] s since then
+        self._age = env.zeros() + math.inf  # [N] control steps since then
         self._cue = slope_gait(env, cue)
 
     def __call__(self, env: Env) -> Tensor:
         signals = env.signals
-        before = self._air.time
+        before = self._air.steps
         carries = self._air.step(env)
         landed = (carries & (before >= self._settle) & (before.flip(1) == 0.0)).any(dim=1)
         apart = signals.along_ground(signals.foot_pos_w[:, 0] - signals.foot_pos_w[:, 1])[:, 0].abs()
         self._length = torch.where(landed, apart, self._length)
-        self._age = (self._age + env.step_dt).masked_fill(landed, 0.0)
+        self._age = (self._age + 1.0).masked_fill(landed, 0.0)
         longest = bsga.longest_step(
             env.commands.velocity[:, 0], self._cue.rho(env), self._step_time, self._margin, self._shortening
         )
@@ -218,10 +215,9 @@ class Stride(StatefulTerm):
         return short * (self._age <= self._hold) * self._cue.progress(env)
 
     def reset(self, mask: Tensor) -> None:
-        """Clears steps and progress of the envs in `mask`."""
+        """Clears the steps of the envs in `mask`."""
         self._air.reset(mask)
         self._age = self._age.masked_fill(mask, math.inf)
-        self._cue.reset(mask)
 
 
 class SwingHip(StatefulTerm):
@@ -235,7 +231,7 @@ class SwingHip(StatefulTerm):
         std: Error at which the reward has fallen to 1/e, rad.
         force: Contact force from which a foot carries, N.
         settle_s, longest_s: Time after lift-off from and up to which a leg swings (see `Swing`), s.
-        cue: Name of the `SlopeGait` event.
+        cue: Name of the `SlopeGait` observer.
     """
 
     def __init__(
@@ -264,6 +260,5 @@ class SwingHip(StatefulTerm):
         return bsga.swing_reward(flexion, swinging, target, self._std) * self._cue.progress(env)
 
     def reset(self, mask: Tensor) -> None:
-        """Clears swing and progress of the envs in `mask`."""
+        """Clears the swing of the envs in `mask`."""
         self._swing.reset(mask)
-        self._cue.reset(mask)

@@ -33,7 +33,7 @@ SWING_LONGEST = 0.6
 class SlopeGait(StatefulTerm):
     """Cue that all BSGA rewards share: slope intensity and progress.
 
-    It is a reset event, so that its parameters are set in one place, `events.slope_gait`. The rewards find it by its
+    It is an observer, so that its parameters are set in one place, `observers.slope_gait`. The rewards find it by its
     name, and it is computed once a step, when the first of them asks.
 
     Args:
@@ -49,10 +49,9 @@ class SlopeGait(StatefulTerm):
         self.gain = 1.0 - math.exp(-env.step_dt / memory_s)
         self._speed = env.zeros()  # [N] m/s
         self._seen: Tensor | None = None  # velocity of the step that the cue was computed for, new in every step
-        self._cleared: Tensor | None = None  # mask of the last reset, None once the cue was computed anew
 
-    def __call__(self, env: Env, mask: Tensor) -> None:
-        self.reset(mask)
+    def __call__(self, env: Env) -> None:
+        self._compute(env)
 
     def progress(self, env: Env) -> Tensor:
         """Gate of every BSGA term: share of the commanded forward speed that is walked, [N] in [0, 1].
@@ -72,27 +71,26 @@ class SlopeGait(StatefulTerm):
         velocity = env.signals.root_lin_vel_t
         if self._seen is velocity:
             return
-        self._seen, self._cleared = velocity, None
+        self._seen = velocity
         self._speed = torch.lerp(self._speed, velocity[:, 0], self.gain)
         self._progress = bsga.progress(self._speed, env.commands.velocity[:, 0], bsga.LEAST_SPEED)
         self._rho = bsga.slope_intensity(env.height_scan.descriptor.slope, self._full_slope)
 
     def reset(self, mask: Tensor) -> None:
-        """Clears the average of the envs in `mask`. Every reward that uses the cue resets it, with the same mask."""
-        if mask is not self._cleared:
-            self._speed = self._speed.masked_fill(mask, 0.0)
-            self._seen, self._cleared = None, mask
+        """Clears the average of the envs in `mask`."""
+        self._speed = self._speed.masked_fill(mask, 0.0)
+        self._seen = None
 
 
 def slope_gait(env: Env, name: str) -> SlopeGait:
-    """Returns the cue that is configured as the event called `name`.
+    """Returns the cue that is configured as the observer called `name`.
 
     Raises:
-        UserError: If there is no such event, or it is no `SlopeGait`.
+        UserError: If there is no such observer, or it is no `SlopeGait`.
     """
-    cue = env.events[name]
+    cue = env.observers[name]
     if not isinstance(cue, SlopeGait):
-        raise UserError(f"event '{name}' is not a SlopeGait, which BSGA rewards need.")
+        raise UserError(f"observer '{name}' is not a SlopeGait, which BSGA rewards need.")
     return cue
 
 
@@ -131,21 +129,21 @@ class StanceWork:
 
 
 class AirTime:
-    """Time since each foot last carried at least `force` N, [N, 2] s."""
+    """Control steps since each foot last carried at least `force` N, `steps` [N, 2]."""
 
     def __init__(self, env: Env, force: float) -> None:
         self._force = force
-        self.time = env.zeros(2)
+        self.steps = env.zeros(2)
 
     def step(self, env: Env) -> Tensor:
         """Advances by a step; returns the feet that carry, [N, 2] bool."""
         carries = env.signals.foot_force >= self._force
-        self.time = (self.time + env.step_dt).masked_fill(carries, 0.0)
+        self.steps = (self.steps + 1.0).masked_fill(carries, 0.0)
         return carries
 
     def reset(self, mask: Tensor) -> None:
         """Puts both feet of the envs in `mask` on the ground."""
-        self.time = self.time.masked_fill(mask[:, None], 0.0)
+        self.steps = self.steps.masked_fill(mask[:, None], 0.0)
 
 
 class Swing:
@@ -157,12 +155,12 @@ class Swing:
 
     def __init__(self, env: Env, force: float, settle_s: float, longest_s: float) -> None:
         self._air = AirTime(env, force)
-        self._settle, self._longest = settle_s, longest_s
+        self._settle, self._longest = (round(seconds / env.step_dt) for seconds in (settle_s, longest_s))
 
     def step(self, env: Env) -> Tensor:
         """Advances by a step; returns the legs that swing, [N, 2] bool."""
-        carries, time = self._air.step(env), self._air.time
-        return (time >= self._settle) & (time <= self._longest) & carries.flip(1)
+        carries, steps = self._air.step(env), self._air.steps
+        return (steps >= self._settle) & (steps <= self._longest) & carries.flip(1)
 
     def reset(self, mask: Tensor) -> None:
         """Puts both feet of the envs in `mask` on the ground."""

@@ -175,16 +175,16 @@ class SingleStance(StatefulTerm):
     def __init__(self, env: Env, cap: Positive) -> None:
         self._cap = cap
         self._contact = env.signals.foot_contact
-        self._time_in_mode = env.zeros(2)  # [N, 2] s since the foot last landed or lifted
+        self._steps_in_mode = env.zeros(2)  # [N, 2] control steps since the foot last landed or lifted
 
     def __call__(self, env: Env) -> Tensor:
         contact = env.signals.foot_contact
         changed = contact != self._contact
-        self._time_in_mode = (self._time_in_mode + env.step_dt).masked_fill(changed, 0.0)
+        self._steps_in_mode = (self._steps_in_mode + 1.0).masked_fill(changed, 0.0)
         self._contact = contact
         single = (contact[:, 0] != contact[:, 1]) & env.commands.moving
-        return (self._time_in_mode.amin(dim=1) / self._cap).clamp(max=1.0) * single
+        return (self._steps_in_mode.amin(dim=1) * (env.step_dt / self._cap)).clamp(max=1.0) * single
 
     def reset(self, mask: Tensor) -> None:
         """Sets the times of the envs in `mask` to zero."""
-        self._time_in_mode = self._time_in_mode.masked_fill(mask[:, None], 0.0)
+        self._steps_in_mode = self._steps_in_mode.masked_fill(mask[:, None], 0.0)

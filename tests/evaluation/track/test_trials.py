@@ -408,4 +408,4 @@ def test_nothing_is_recorded_outside_of_a_run() -> None:
     assert not scheduler.trials().finished.any()
     assert np.isnan(scheduler.trials().metrics.distance).all()
     run_trials(env, standing, scheduler)
-    assert env.observers == []
+    assert len(env.observers) == 0
