@@ -10,7 +10,9 @@ the field's base. C MuJoCo does the same in float64; MuJoCo-Warp computes in flo
 
 The correction moves the frame to the geom's own x and y and moves the contact back afterwards, and ends each cell half
 a diagonal below both the geom and the cell's surface, so deep that the shortest way out of a cell is never through its
-bottom. The errors on ramps vanish, and no error grows with the distance. It costs nothing.
+bottom. The errors on ramps vanish, and no error grows with the distance. It costs nothing. What is left: a geom that
+starts decimetres deep, or inside a vertical step of metres, can still get a contact that is too deep (1 of 1,152 robots
+dropped in any pose with limbs in the ground diverged, 36 without the correction); robots that fall do not.
 
 The alternatives were worse: one field per tile multiplies the broadphase pairs by seventy; one field per world
 (`geom_dataid`) leaves no ground beyond the world's own tile and gives every lookup its own frame; more CCD iterations,
