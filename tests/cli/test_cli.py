@@ -51,6 +51,15 @@ def test_a_user_sees_one_sentence_and_exit_code_2(folder):
     assert content(folder) == {}
 
 
+def test_a_gpu_without_memory_left_is_one_sentence(monkeypatch, capsys):
+    def run(arguments):
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB.")
+
+    monkeypatch.setattr("humoslope.cli.list.run", run)
+    assert main(["list"]) == 2
+    assert "the memory of the GPU is full; choose fewer envs" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("verb", "options", "written"),
     [

@@ -128,14 +128,15 @@ def test_each_process_takes_the_gpu_of_its_local_rank_if_there_is_one(monkeypatc
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setattr(torch.cuda, "set_device", chosen.append)
-    assert choose_device("auto", Processes(3, 1, 4)) == "cuda:1"
-    assert choose_device("cpu", Processes(3, 1, 4)) == "cpu"
-    assert choose_device("auto", Processes()) == "auto"
+    assert choose_device("auto", "auto", Processes(3, 1, 4)) == "cuda:1"
+    assert choose_device("cpu", "auto", Processes(3, 1, 4)) == "cpu"
+    assert choose_device("auto", "native", Processes(3, 1, 4)) == "auto"
+    assert choose_device("auto", "auto", Processes()) == "auto"
     assert chosen == [1]
     with pytest.raises(UserError, match="process 2 of this machine has no GPU of its own: there are 2"):
-        choose_device("auto", Processes(2, 2, 4))
+        choose_device("auto", "auto", Processes(2, 2, 4))
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert choose_device("auto", Processes(3, 1, 4)) == "auto"
+    assert choose_device("auto", "auto", Processes(3, 1, 4)) == "auto"
 
 
 def test_a_single_process_agrees_with_itself():

@@ -27,7 +27,7 @@ from humoslope.learning import checkpoint
 from humoslope.learning.logger import ProgressLine
 from humoslope.learning.rng import seed_everything
 from humoslope.learning.run_folder import saved_options
-from humoslope.learning.trainer import Trainer
+from humoslope.learning.trainer import Trainer, tf32_products
 from humoslope.managers import RewardTermCfg
 
 PATIENCE_S = 600.0
@@ -310,3 +310,12 @@ def test_a_reward_that_divides_by_zero_is_named_with_its_envs_and_iteration(task
     )
     with pytest.raises(UserError, match=said):
         trainer.iterate()
+
+
+def test_tf32_is_on_for_a_gpus_update_and_off_again_after_it():
+    before = torch.backends.cuda.matmul.fp32_precision
+    with tf32_products(torch.device("cuda", 0)):
+        assert torch.backends.cuda.matmul.fp32_precision == "tf32"
+    assert torch.backends.cuda.matmul.fp32_precision == before
+    with tf32_products(torch.device("cpu")):
+        assert torch.backends.cuda.matmul.fp32_precision == before

@@ -89,6 +89,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 1
+    except RuntimeError as error:
+        if type(error).__name__ != "OutOfMemoryError":  # torch's; not every verb loads torch
+            raise
+        print("humoslope: the memory of the GPU is full; choose fewer envs with --env.num-envs.", file=sys.stderr)
+        return 2
     return 0
 
 

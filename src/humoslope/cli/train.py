@@ -86,7 +86,7 @@ def _train(
     processes = read_processes()
     # What can be wrong is said before anything is written, and as far as possible before anything is built.
     cfg.agent.check()
-    device = choose_device(cfg.env.sim.device, processes)
+    device = choose_device(cfg.env.sim.device, cfg.env.sim.backend, processes)
     # Every process draws its own randomness, on a device of its own; the checkpoint keeps what was asked for.
     own = dataclasses.replace(
         cfg.env, seed=cfg.env.seed + processes.rank, sim=dataclasses.replace(cfg.env.sim, device=device)

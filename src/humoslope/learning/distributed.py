@@ -52,13 +52,15 @@ def read_processes() -> Processes:
     return processes
 
 
-def choose_device(configured: str, processes: Processes) -> str:
-    """The device of this process: with several processes and "auto", each takes the GPU of its local rank.
+def choose_device(configured: str, backend: str, processes: Processes) -> str:
+    """The device of this process: with several processes each takes the GPU of its local rank, unless the CPU or the
+    native physics, which has no other device, was asked for.
 
     Raises:
         UserError: If there are fewer GPUs than processes on this machine.
     """
-    if processes.size == 1 or configured not in ("auto", "cuda") or not torch.cuda.is_available():
+    wants_gpu = configured in ("auto", "cuda") and backend != "native"
+    if processes.size == 1 or not wants_gpu or not torch.cuda.is_available():
         return configured
     if processes.local_rank >= torch.cuda.device_count():
         raise UserError(

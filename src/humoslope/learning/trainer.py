@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +122,8 @@ class Trainer:
         obs = self._collect()
         collected = self._now()
         self._require_finite_values()
-        losses = self.learner.update(obs)
+        with tf32_products(self.env.device):
+            losses = self.learner.update(obs)
         if self._processes.size > 1:
             self.env.curriculum.average(mean_over_processes)
         learned = self._now()
@@ -293,6 +296,24 @@ class Trainer:
 
     def _say_stop(self) -> None:
         self._console.print("Stopping after this iteration; once more stops at once, without saving.")
+
+
+@contextmanager
+def tf32_products(device: torch.device) -> Iterator[None]:
+    """Lets a GPU multiply matrices in TF32 while inside.
+
+    For learning alone: rotations, scans and the terrain descriptor of the environment are matrix products as well, and
+    ten bits of mantissa are too few for places in metres.
+    """
+    if device.type != "cuda":
+        yield
+        return
+    before = torch.backends.cuda.matmul.fp32_precision
+    torch.backends.cuda.matmul.fp32_precision = "tf32"
+    try:
+        yield
+    finally:
+        torch.backends.cuda.matmul.fp32_precision = before
 
 
 def _misfit(path: Path, error: Exception) -> UserError:
