@@ -72,6 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
         _print_help()
         return 0
     verb, rest = arguments[0], arguments[1:]
+    code, said = 0, ""
     try:
         if verb not in VERBS:
             raise unknown("verb", verb, VERBS)
@@ -79,22 +80,20 @@ def main(arguments: list[str] | None = None) -> int:
         with _signals_raised():
             run(rest)
     except UserError as error:
-        print(f"humoslope: {error}", file=sys.stderr)
-        return 2
+        code, said = 2, str(error)
     except Terminated as stop:
-        print("humoslope: terminated.", file=sys.stderr)
-        return stop.exit_code
+        code, said = stop.exit_code, "terminated."
     except KeyboardInterrupt:
-        print("humoslope: interrupted.", file=sys.stderr)
-        return 130
+        code, said = 130, "interrupted."
     except BrokenPipeError:
-        return 1
+        code = 1
     except RuntimeError as error:
         if type(error).__name__ != "OutOfMemoryError":  # torch's; not every verb loads torch
             raise
-        print("humoslope: the memory of the GPU is full; choose fewer envs with --env.num-envs.", file=sys.stderr)
-        return 2
-    return 0
+        code, said = 2, "the memory of the GPU is full; choose fewer envs with --env.num-envs."
+    if said:
+        print(f"humoslope: {said}", file=sys.stderr)
+    return code
 
 
 def _print_help() -> None:

@@ -4,8 +4,7 @@ An env belongs to a cell (a grade and a friction tier) and runs trials i, i + P,
 the number of parallel trials. The env of a trial, and every random number in it, depend on the trial alone. So the same
 command gives the same figures, and an evaluation that was interrupted gives the figures that it would have given. (Not
 so with another number of parallel trials, as a matrix product of another size may round differently, nor on a GPU,
-where contacts are added up in any order.) An env without
-trials left is not simulated further.
+where contacts are added up in any order.) An env without trials left is not simulated further.
 """
 
 from __future__ import annotations
