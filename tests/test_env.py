@@ -16,6 +16,7 @@ from torch import Tensor
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.managers import (
+    EventTermCfg,
     ObservationGroupCfg,
     ObservationTermCfg,
     RewardTermCfg,
@@ -108,11 +109,24 @@ def test_the_same_seed_gives_the_same_trajectory_and_another_seed_another(
     assert not first[-4].equal(other[-4])
 
 
+class Press(StatefulTerm):
+    """Reset event that pushes the soles 2 cm down, after they were lifted to the ground."""
+
+    def __init__(self, env: ManagerBasedRlEnv) -> None:
+        self.env = env
+
+    def __call__(self, env: ManagerBasedRlEnv, mask: Tensor) -> None:
+        pass
+
+    def reset(self, mask: Tensor) -> None:
+        self.env.start_qpos[:, 2] -= 0.02
+
+
 def starting(cfg: EnvCfg) -> None:
     """Nothing random but the start, with the soles pressed into the ground, carried by the harness."""
     few_tiles(cfg)
-    cfg.events = Terms(root=cfg.events.root, joints=cfg.events.joints, harness=cfg.events.harness)
-    cfg.events.root.params["lift"] = -0.01
+    events = cfg.events
+    cfg.events = Terms(root=events.root, joints=events.joints, press=EventTermCfg(Press), harness=events.harness)
     cfg.events.joints.params.update(position=(-0.2, 0.2), velocity=(-1.0, 1.0))
     cfg.episode_length_s = 0.1
 

@@ -11,7 +11,10 @@ import pytest
 from humoslope.cli import VERBS, main
 
 TASK = "HumoSlope-Stage2-Unitree-G1"
-COMMANDS = [*([verb] for verb in VERBS if verb not in ("train", "bench")), ["train", TASK], ["bench", TASK]]
+COMMANDS = [
+    *([verb] for verb in VERBS if verb not in ("train", "bench", "check")),
+    *([verb, TASK] for verb in ("train", "bench", "check")),
+]
 NO_SENTENCE = re.compile(r"^(Of|What|How|Which|Whether|Where|When|Who|That) ")
 
 

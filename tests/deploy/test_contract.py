@@ -180,6 +180,7 @@ def test_a_contract_of_version_1_means_what_it_meant(version_1: Callable[..., Pa
     same = replace(
         old,
         exported_by=contract.exported_by,
+        training=replace(old.training, sha256=contract.training.sha256),
         network=replace(old.network, sha256=contract.network.sha256),
         robot=replace(old.robot, sha256=contract.robot.sha256),
     )
