@@ -142,3 +142,10 @@ def test_each_process_takes_the_gpu_of_its_local_rank_if_there_is_one(monkeypatc
 def test_a_single_process_agrees_with_itself():
     assert any_process((True, False), torch.device("cpu")) == (True, False)
     assert torch.equal(mean_over_processes(torch.tensor(3.0)), torch.tensor(3.0))
+
+
+def test_physics_warnings_of_every_process_are_heard(task, tiny, monkeypatch, capsys):
+    trainer = make_trainer(task, tiny, Processes(1, 1, 2))
+    monkeypatch.setattr(trainer.env.sim, "warnings", lambda: ["the contact buffer is full"])
+    trainer._report_physics({})
+    assert capsys.readouterr().err == "process 1, physics: the contact buffer is full\n"

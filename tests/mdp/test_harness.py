@@ -242,6 +242,22 @@ def test_the_log_shows_and_others_read_the_present_scale(withdrawal):
     assert withdrawal.term.scale.item() == value == withdrawal.env.events["harness"].scale.item()
 
 
+def test_processes_withdraw_it_by_their_mean_fall_rate_and_speed(withdrawal):
+    withdrawal.term = withdrawal.make(rate=0.01)
+    withdrawal(700)
+    mine = withdrawal.term.state_dict()
+    other = iter([0.4, 0.2, 0.1])  # falls, speed and scale in the other process
+    withdrawal.term.average(lambda value: 0.5 * (value + next(other)))
+    assert withdrawal.term.state_dict() == pytest.approx(
+        {
+            "falls": 0.5 * (mine["falls"] + 0.4),
+            "speed": 0.5 * (mine["speed"] + 0.2),
+            "scale": 0.5 * (mine["scale"] + 0.1),
+        }
+    )
+    assert withdrawal.env.events["harness"].scale is withdrawal.term.scale
+
+
 def test_withdrawal_goes_on_where_its_state_was_taken(withdrawal):
     withdrawal.term = withdrawal.make(rate=0.01)
     withdrawal(700)

@@ -280,8 +280,11 @@ class Trainer:
         load_weights(self.learner.policy, state, path)
 
     def _report_physics(self, values: dict[str, float]) -> None:
+        # The consoles of all processes but the first are quiet, but a warning of any of them matters.
+        console = self._console if self._processes.is_first else Console(stderr=True)
+        who = "" if self._processes.is_first else f"process {self._processes.rank}, "
         for warning in self.env.sim.warnings():
-            self._console.print(f"[yellow]physics: {warning}[/yellow]")
+            console.print(f"[yellow]{who}physics: {warning}[/yellow]", soft_wrap=True)
         if values.get("Train/diverged", 0.0) > 0.0:
             self._report_divergence()
 
