@@ -153,7 +153,7 @@ def test_the_posture_table_is_that_of_its_results_and_of_the_paper() -> None:
 
 
 def test_the_speed_table_is_that_of_its_result() -> None:
-    rows = table("worlds", "raw physics", "env.step", "of raw", "PPO loop", "of raw", "peak memory")
+    rows = table("envs", "raw physics", "env.step", "of raw", "PPO loop", "of raw", "peak memory")
     expected = []
     for size in report("bench")["sizes"]:
         raw, step, loop = (median(size[name]) for name in ("raw", "env", "ppo"))
@@ -161,7 +161,7 @@ def test_the_speed_table_is_that_of_its_result() -> None:
         shares = [median(a / b for a, b in zip(size[name], size["raw"], strict=True)) for name in ("env", "ppo")]
         expected.append(
             [
-                f"{size['worlds']}",
+                f"{size['num_envs']}",
                 f"{raw:,.0f}/s",
                 f"{step:,.0f}/s",
                 f"{100 * shares[0]:.0f}%",
