@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from humoslope.managers import FiniteWatch, Log, Terms
 from humoslope.registry import build_task, load_content
 
 torch.set_num_threads(1)
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # in child processes, too: tests run side by side
 settings.register_profile("humoslope", deadline=None, max_examples=50)  # no test depends on how fast the machine is
 settings.load_profile("humoslope")
 
