@@ -101,6 +101,17 @@ def push(env: Env, mask: Tensor, speed: NotNegative) -> None:
     _set(qvel[:, :2], mask, qvel[:, :2] + kick)
 
 
+def push_in_random_direction(env: Env, mask: Tensor, speed: NotNegative) -> None:
+    """Changes the root's horizontal velocity at once, always by the same amount.
+
+    Args:
+        speed: Size of the change, m/s; its direction is uniform.
+    """
+    qvel, angle = env.sim.state("qvel"), env.uniform(0.0, 2.0 * torch.pi)
+    kick = speed * torch.stack([angle.cos(), angle.sin()], dim=1)
+    _set(qvel[:, :2], mask, qvel[:, :2] + kick)
+
+
 def randomize_friction(env: Env, mask: Tensor, friction: NotNegativeSpan, slope_margin: NotNegative) -> None:
     """Draws the friction of feet on ground, and raises it to what the tile needs.
 
