@@ -251,8 +251,7 @@ def _grade_below(env: ManagerBasedRlEnv) -> torch.Tensor:
 
 
 def glide(env: ManagerBasedRlEnv, along: float, across: float, turn: float = 0.0) -> None:
-    """Replaces the physics: robots glide over the ground at these horizontal speeds along x and y, and turn at this rate,
-    rad/s."""
+    """Replaces the physics: robots glide over the ground at these horizontal speeds and turn at this rate, rad/s."""
     yaw = torch.zeros(env.num_envs, dtype=torch.float64)
 
     def carry(sim: object, n: int, mask: torch.Tensor | None) -> None:
@@ -345,8 +344,10 @@ def test_the_command_is_what_was_asked_and_the_robot_starts_well_inside_the_plan
     cfg = ramp_env_cfg(stage1_env(), protocol)
     cfg.sim.backend = "native"
     env = ManagerBasedRlEnv(cfg)
-    env.sim.state("qpos")[:, 3:7] = torch.tensor([1.0, 0.0, 0.0, 0.0])
-    env.sim.state("qpos")[:, 1] += 0.5  # a robot that steered to its centre line would be asked to turn
+    start = env.start_qpos.clone()
+    start[:, 3:7] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+    start[:, 1] += 0.5  # a robot that steered to its centre line would be asked to turn
+    env.sim.reset(torch.ones(6, dtype=torch.bool), start, torch.zeros_like(env.start_qvel))
     env.signals.refresh()
     env.commands.step()
     np.testing.assert_allclose(env.commands.velocity, [velocity] * 6, atol=1e-6)
