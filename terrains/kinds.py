@@ -8,7 +8,7 @@ import numpy as np
 
 from humoslope.terrain import terrain
 from humoslope.terrain.registry import Array
-from terrains.profiles import APPROACH, Segment, flat, ramp, ramp_down, room, track
+from terrains.profiles import APPROACH, Segment, flat, plane, ramp, ramp_down, room, track
 from terrains.surfaces import banked, rough, smooth, striped, wavy
 
 STEEPEST = 32.0
@@ -112,6 +112,19 @@ def compound(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Arra
         + _any_surface(x, y, rng, APPROACH, APPROACH + first)
         + _any_surface(x, y, rng, beyond, beyond + second)
     )
+
+
+@terrain("hillside", grade=(0.0, STEEPEST), omnidirectional=True)
+def hillside(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
+    """Plane over the whole tile that rises in a random direction; walked in any direction from any place."""
+    return plane(x, y, grade, rng.uniform(-180.0, 180.0))
+
+
+@terrain("rough-hillside", grade=(0.0, STEEPEST), omnidirectional=True)
+def rough_hillside(x: Array, y: Array, grade: float, rng: np.random.Generator) -> Array:
+    """Hillside with bumps all over that grow with its grade."""
+    bumps = rough(x, y, rng, BUMP * grade / STEEPEST, BUMP_SPACING, start=-np.inf)
+    return plane(x, y, grade, rng.uniform(-180.0, 180.0)) + bumps
 
 
 def _any_surface(x: Array, y: Array, rng: np.random.Generator, start: float, end: float) -> Array:

@@ -1,4 +1,4 @@
-"""Profiles of the ground along the direction of travel, from height 0; lengths in metres, grades in degrees."""
+"""Profiles of the ground along the direction of travel, from height 0, and planes; lengths in m, grades in degrees."""
 
 from __future__ import annotations
 
@@ -66,6 +66,19 @@ def ramp(x: Array, grade: float) -> Array:
 def ramp_down(x: Array, grade: float) -> Array:
     """As `ramp`, with positive grades going down."""
     return ramp(x, -grade)
+
+
+def plane(x: Array, y: Array, grade: float, uphill: float) -> Array:
+    """Plane through height 0 in the middle of the tile, without approach or run-out.
+
+    Args:
+        x, y: Places on the tile, m.
+        grade: Degrees.
+        uphill: Direction in which it rises, degrees from +x towards +y.
+    """
+    towards = np.radians(uphill)
+    along = (x - x.mean()) * np.cos(towards) + (y - y.mean()) * np.sin(towards)
+    return np.tan(np.radians(grade)) * along
 
 
 def track(x: Array, segments: Sequence[Segment]) -> Array:

@@ -22,6 +22,7 @@ def play(
     settle: int = 0,
     across: Tensor | None = None,
     contact: Tensor | None = None,
+    turn: Tensor | None = None,
 ) -> Trials:
     """Envs that start at x = 0.75 m and move with `speed` [T, N] m/s forward and `across` [T, N] m/s to the left; they
     fall or leave in the given steps. `contact` [T, 2] of the feet; by default both stand."""
@@ -35,7 +36,8 @@ def play(
     height = torch.full((count,), 0.75)
     for step, now in enumerate(velocity, start=1):
         place = place + now * DT
-        recorder.add(place, now, height, feet[step - 1].expand(count, 2), fall_step == step, leave_step == step)
+        rate = torch.zeros(count) if turn is None else turn[step - 1]
+        recorder.add(place, now, rate, height, feet[step - 1].expand(count, 2), fall_step == step, leave_step == step)
     return recorder.trials()
 
 
@@ -152,3 +154,15 @@ def test_landings_before_settling_do_not_count() -> None:
     feet[10:20, 0] = feet[60:70, 1] = False
     trials = play(torch.zeros(100, 1), contact=feet, settle=50)
     assert trials.touchdowns == pytest.approx([1.0])
+
+
+# A robot that walks to a side or turns
+
+
+def test_speed_to_the_left_and_yaw_rate_are_means_with_a_sign_from_settling_to_the_end() -> None:
+    across = torch.cat([torch.full((40, 2), 9.0), torch.tensor([[0.2, -0.4]]).repeat(60, 1)])
+    turn = torch.cat([torch.full((40, 2), -9.0), torch.tensor([[0.6, -0.3]]).repeat(60, 1)])
+    trials = play(torch.zeros(100, 2), across=across, turn=turn, settle=40, falls=[NEVER, 90])
+    assert trials.lateral == pytest.approx([0.2, -0.4])
+    assert trials.yaw_rate == pytest.approx([0.6, -0.3])
+    assert trials.measured_s == pytest.approx([60 * DT, 49 * DT])

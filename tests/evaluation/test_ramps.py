@@ -20,6 +20,7 @@ from humoslope.evaluation.ramp_trials import Trials
 from humoslope.evaluation.ramps import (
     APPROACH,
     RampProtocol,
+    RampResult,
     along_course,
     ramp_env_cfg,
     run_trials,
@@ -29,6 +30,7 @@ from humoslope.evaluation.ramps import (
 from humoslope.presets import apply_preset
 from humoslope.provenance import plain
 from humoslope.registry import build_task
+from humoslope.slope import quaternion
 
 SMALL = RampProtocol(grades=(0.0, 25.0, -30.0), starts=2, seconds=3.0)
 
@@ -56,7 +58,10 @@ def standing(count: int, **changes: Any) -> Trials:
         "end": np.full(count, 7.75),
         "samples": np.full(count, 900.0),
         "speed": np.full(count, 0.35),
+        "measured_s": np.full(count, 18.0),
         "squared_error": np.full(count, 900.0 * 0.15**2),
+        "lateral": np.full(count, 0.05),
+        "yaw_rate": np.full(count, 0.1),
         "height": np.full(count, 0.77),
         "creep": np.tile([0.35, 0.05], (count, 1)),
         "drift": np.tile([6.3, 0.4], (count, 1)),
@@ -168,7 +173,11 @@ def test_the_table_runs_from_the_steepest_way_down_to_the_steepest_way_up() -> N
         ({"grades": (0.0, 90.0)}, "grade 90 must be between -60 and 60 degrees"),
         ({"grades": (float("nan"),)}, "grade nan"),
         ({"starts": 0}, "starts is 0"),
-        ({"speed": -0.1}, "speed is -0.1; it must be 0 or more"),
+        ({"speed": math.nan}, "speed is nan; it must be a finite number"),
+        ({"yaw_rate": math.inf}, "yaw_rate is inf; it must be a finite number"),
+        ({"speed": 0.0, "lateral": 9.0}, "9 m/s for 20 s needs .* m of ground; there are at most 200 m"),
+        ({"push": -1.0}, "push is -1; it must be 0 or more"),
+        ({"push_every": 0.0}, "push_every is 0; it must be positive"),
         ({"seconds": -1.0}, "seconds is -1"),
         ({"seconds": float("inf")}, "seconds is inf"),
         ({"seconds": 1e6}, "at most 200 m"),
@@ -241,18 +250,21 @@ def _grade_below(env: ManagerBasedRlEnv) -> torch.Tensor:
     return torch.atan(env.terrain.height(xy + ahead) - env.terrain.height(xy - ahead))
 
 
-def glide(env: ManagerBasedRlEnv, along: float, across: float) -> None:
-    """Replaces the physics: robots glide over the ground at these horizontal speeds, without turning."""
+def glide(env: ManagerBasedRlEnv, along: float, across: float, turn: float = 0.0) -> None:
+    """Replaces the physics: robots glide over the ground at these horizontal speeds and turn at this rate, rad/s."""
+    yaw = torch.zeros(env.num_envs, dtype=torch.float64)
 
     def carry(sim: object, n: int, mask: torch.Tensor | None) -> None:
         qpos = env.sim.state("qpos").clone()
         qpos[:, 0] += along * env.step_dt
         qpos[:, 1] += across * env.step_dt
-        qpos[:, 2] = env.terrain.height(qpos[:, :2].float()) + env.robot.default_root_height + 0.2
-        qpos[:, 3:7] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+        ground = env.terrain.height(qpos[:, :2].float())
+        ahead = env.terrain.height(qpos[:, :2].float() + 0.1 * torch.tensor([along, across]))
+        qpos[:, 2] = ground + env.robot.default_root_height + 0.2
+        yaw.add_(turn * env.step_dt)
+        qpos[:, 3:7] = quaternion.from_yaw(yaw)
         qvel = torch.zeros_like(env.sim.state("qvel"))
-        qvel[:, 0], qvel[:, 1] = along, across
-        qvel[:, 2] = along * torch.tan(torch.deg2rad(torch.tensor(GRADES_OF_STAND)))
+        qvel[:, 0], qvel[:, 1], qvel[:, 2], qvel[:, 5] = along, across, (ahead - ground) / 0.1, turn
         env.sim.reset(torch.ones(env.num_envs, dtype=torch.bool), qpos, qvel)
 
     env.sim.step = MethodType(carry, env.sim)  # type: ignore[method-assign]
@@ -298,3 +310,130 @@ def test_a_foot_touches_the_ground_from_one_newton_on(standing_env: ManagerBased
         data[:, address : address + 3] = torch.tensor([0.0, 0.0, force])
         env.signals.refresh()
         assert env.signals.foot_contact[:, 0].tolist() == [touches] * env.num_envs
+
+
+# Walks backward, to a side and across slopes, and turns
+
+
+def gliding(protocol: RampProtocol, along: float, across: float, turn: float = 0.0) -> list[RampResult]:
+    cfg = ramp_env_cfg(stage1_env(), protocol)
+    cfg.sim.backend = "native"
+    env = ManagerBasedRlEnv(cfg)
+    glide(env, along, across, turn)
+    return summarise(run_trials(env, lambda _: env.zeros(29), protocol), protocol)
+
+
+def of_commands(**changes: Any) -> RampProtocol:
+    return RampProtocol(**{"grades": (0.0, 20.0, -20.0), "starts": 2, "seconds": 4.0, **changes})
+
+
+@pytest.mark.parametrize(
+    ("command", "velocity"),
+    [
+        ({"speed": -0.3}, [-0.3, 0.0, 0.0]),
+        ({"speed": 0.0, "lateral": 0.3}, [0.0, 0.3, 0.0]),
+        ({"speed": 0.0, "yaw_rate": -0.6}, [0.0, 0.0, -0.6]),
+        ({"speed": 0.5, "across": True}, [0.5, 0.0, 0.0]),
+        ({"speed": 0.5, "lateral": -0.2}, [0.5, -0.2, 0.0]),
+    ],
+)
+def test_the_command_is_what_was_asked_and_the_robot_starts_well_inside_the_plane(
+    command: dict[str, Any], velocity: list[float]
+) -> None:
+    protocol = of_commands(**command)
+    cfg = ramp_env_cfg(stage1_env(), protocol)
+    cfg.sim.backend = "native"
+    env = ManagerBasedRlEnv(cfg)
+    start = env.start_qpos.clone()
+    start[:, 3:7] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+    start[:, 1] += 0.5  # a robot that steered to its centre line would be asked to turn
+    env.sim.reset(torch.ones(6, dtype=torch.bool), start, torch.zeros_like(env.start_qvel))
+    env.signals.refresh()
+    env.commands.step()
+    np.testing.assert_allclose(env.commands.velocity, [velocity] * 6, atol=1e-6)
+    assert env.commands.moving.all()
+    here, grades = env.signals.root_pos_w[:, :2], [g for g in protocol.grades for _ in range(2)]
+    rises = torch.tensor([[0.5, 0.0], [0.0, 0.5]])
+    uphill, level = rises.flip(0) if protocol.across else rises
+    for ahead, expected in ((uphill, grades), (level, [0.0] * 6)):
+        slope = torch.rad2deg(torch.atan(env.terrain.height(here + ahead) - env.terrain.height(here - ahead)))
+        np.testing.assert_allclose(slope, expected, atol=0.02)
+    offset = env.signals.root_pos_w - env.tiles.origin_w
+    for axis, speed, middle, extent in ((0, 0, 0.5 * env.tiles.length, env.tiles.length), (1, 1, 0.0, env.tiles.width)):
+        assert (offset[:, axis] - middle).abs().max() <= 1.0 + 1e-4
+        assert 0.5 * extent >= max(2.5 * abs(velocity[speed]), 0.5) * protocol.seconds + 0.3
+
+
+def test_a_robot_that_glides_as_commanded_on_the_level_has_no_error() -> None:
+    for along, across in ((-0.3, 0.0), (0.0, 0.3)):
+        level, *_ = gliding(of_commands(grades=(0.0, 10.0), speed=along, lateral=across), along, across)
+        assert level.manoeuvre is not None
+        assert level.standing is None
+        assert level.speed == pytest.approx(along, abs=1e-3)
+        assert level.manoeuvre.lateral_speed == pytest.approx(across, abs=1e-3)
+        assert level.manoeuvre.velocity_error == pytest.approx(0.0, abs=2e-3)
+        assert level.manoeuvre.yaw_rate_error == pytest.approx(0.0, abs=1e-3)
+        assert level.manoeuvre.slip is None
+
+
+def test_a_robot_that_glides_otherwise_has_the_distance_of_its_velocity_from_the_command() -> None:
+    for result in gliding(of_commands(speed=-0.3), 0.1, 0.2):
+        along = 0.1 / math.cos(math.radians(result.grade))
+        assert result.manoeuvre is not None
+        assert result.speed == pytest.approx(along, rel=2e-3)
+        assert result.manoeuvre.velocity_error == pytest.approx(math.hypot(along + 0.3, 0.2), rel=2e-3)
+
+
+def test_a_robot_that_turns_has_its_yaw_rate() -> None:
+    for result in gliding(of_commands(speed=0.0, yaw_rate=0.6), 0.0, 0.0, turn=0.45):
+        assert result.manoeuvre is not None
+        assert result.manoeuvre.yaw_rate == pytest.approx(0.45, rel=1e-3)
+        assert result.manoeuvre.yaw_rate_error == pytest.approx(0.15, rel=1e-2)
+        assert result.manoeuvre.velocity_error == pytest.approx(0.0, abs=1e-3)
+
+
+def test_slip_across_a_slope_is_speed_down_it_along_the_ground_on_whichever_side_that_is() -> None:
+    level, left_high, right_high = gliding(of_commands(across=True), 0.5, -0.12)
+    expected = 0.12 / math.cos(math.radians(20.0))
+    assert level.manoeuvre is not None
+    assert left_high.manoeuvre is not None
+    assert right_high.manoeuvre is not None
+    assert level.manoeuvre.slip is None
+    assert left_high.manoeuvre.slip == pytest.approx(expected, rel=5e-3)  # to the right, and that is down
+    assert right_high.manoeuvre.slip == pytest.approx(-expected, rel=5e-3)
+    assert left_high.distance == pytest.approx(0.5 * 4.0, rel=2e-2)  # the way is level
+
+
+@pytest.mark.parametrize("change", [{"speed": -0.3}, {"across": True}])
+def test_the_tables_of_manoeuvres_are_not_cut_off(change: dict[str, Any]) -> None:
+    protocol = of_commands(starts=512, seconds=20.0, **change)
+    results = summarise(standing(1536, fell=np.ones(1536, dtype=bool), yaw_rate=np.full(1536, -0.1)), protocol)
+    console = Console(width=80)
+    with console.capture() as captured:
+        console.print(table(results))
+    assert "512/512" in captured.get()
+    assert "…" not in captured.get()
+    assert ("slip" in captured.get()) == ("across" in change)
+
+
+def test_pushes_come_at_their_interval_with_their_speed_in_any_direction() -> None:
+    cfg = ramp_env_cfg(stage1_env(), of_commands(push=1.0, push_every=0.5, starts=40))
+    cfg.sim.backend = "native"
+    env = ManagerBasedRlEnv(cfg)
+    env.sim.step = MethodType(lambda sim, n, mask: None, env.sim)  # type: ignore[method-assign]
+    qvel, everywhere = env.sim.state("qvel"), torch.ones(env.num_envs, dtype=torch.bool)
+    env.sim.reset(everywhere, env.start_qpos, torch.zeros_like(env.start_qvel))
+    for _ in range(24):
+        env.step(env.zeros(29))
+    assert qvel[:, :2].abs().max() == 0.0
+    env.step(env.zeros(29))
+    kick = qvel[:, :2].clone()
+    torch.testing.assert_close(kick.norm(dim=1), torch.ones_like(kick[:, 0]), atol=1e-5, rtol=0)
+    assert torch.histc(torch.atan2(kick[:, 1], kick[:, 0]).float(), 4, -math.pi, math.pi).min() > 10
+    assert "push" not in dict(ramp_env_cfg(stage1_env(), of_commands()).events.items())
+
+
+def test_modes_of_a_task_do_not_reach_the_ramps() -> None:
+    task = stage1_env()
+    task.command.modes = {"turning": 1.0}
+    assert ramp_env_cfg(task, SMALL).command.modes == {}

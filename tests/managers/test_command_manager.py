@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from humoslope.errors import UserError
 from humoslope.managers import CommandManager, VelocityCommandCfg
+from humoslope.managers.command import MODES
 
 N = 1000
 STEERED = VelocityCommandCfg(
@@ -22,12 +23,22 @@ STEERED = VelocityCommandCfg(
 @pytest.fixture(scope="module")
 def make_commands(make_env):
     def make(
-        cfg: VelocityCommandCfg, num_envs: int = N, heading: float = 0.0, y: float = 0.0, step_dt: float = 0.02
+        cfg: VelocityCommandCfg,
+        num_envs: int = N,
+        heading: float = 0.0,
+        y: float = 0.0,
+        step_dt: float = 0.02,
+        free: bool | torch.Tensor = False,
     ) -> CommandManager:
         signals = SimpleNamespace(
             root_pos_w=torch.tensor([[0.0, y, 0.0]]).repeat(num_envs, 1), heading_w=torch.full((num_envs,), heading)
         )
-        tiles = SimpleNamespace(origin_w=torch.zeros(num_envs, 3))
+        omnidirectional = torch.as_tensor(free).expand(num_envs)
+        tiles = SimpleNamespace(
+            origin_w=torch.zeros(num_envs, 3),
+            omnidirectional=omnidirectional,
+            has_omnidirectional=bool(omnidirectional.any()),
+        )
         commands = CommandManager(make_env(num_envs, signals=signals, tiles=tiles, step_dt=step_dt), cfg)
         commands.reset(torch.ones(num_envs, dtype=torch.bool))
         return commands
@@ -186,3 +197,126 @@ def test_commands_that_hold_for_no_time_are_refused(make_commands, resample_s, m
 def test_steering_that_is_no_number_from_zero_up_is_refused(make_commands, name, value):
     with pytest.raises(UserError, match=f"command: {name} is {value:g}; it must be 0 or more"):
         make_commands(VelocityCommandCfg(**{name: value}))
+
+
+# Tiles that are walked in any direction
+
+ALL = {"forward": 0.4, "backward": 0.1, "sideways": 0.2, "turning": 0.3}
+EVERY_WAY = VelocityCommandCfg(
+    modes=ALL, backward=(0.1, 0.4), sideways=(0.2, 0.5), turning=(0.3, 0.9), standing_share=0.1, heading_share=0.5
+)
+
+
+def modes_of(velocity):
+    """The mode of each command [N, 3], by what it asks for; "standing" for nothing."""
+    forward, left, turn = velocity.T
+    kinds = {
+        "forward": (forward > 0.0) & (left == 0.0),
+        "backward": (forward < 0.0) & (left == 0.0),
+        "sideways": (forward == 0.0) & (left != 0.0),
+        "turning": (forward == 0.0) & (left == 0.0) & (turn != 0.0),
+        "standing": (velocity == 0.0).all(dim=1),
+    }
+    assert (torch.stack(list(kinds.values())).sum(dim=0) == 1).all()
+    return kinds
+
+
+def test_every_mode_has_its_share_of_the_commands_to_move_and_stays_in_its_range(make_commands):
+    velocity = make_commands(EVERY_WAY, num_envs=20_000, free=True).velocity
+    kinds = modes_of(velocity)
+    assert kinds["standing"].float().mean().item() == pytest.approx(0.1, abs=0.01)
+    for name, share in ALL.items():
+        assert kinds[name].float().mean().item() == pytest.approx(0.9 * share, abs=0.015), name
+    for name, column, sign in (("forward", 0, 1.0), ("backward", 0, -1.0)):
+        low, high = EVERY_WAY.speed if name == "forward" else EVERY_WAY.backward
+        drawn = sign * velocity[kinds[name], column]
+        assert low - 1e-6 <= drawn.min() < low + 0.02
+        assert high - 0.02 < drawn.max() <= high + 1e-6
+    for name, column, (low, high) in (("sideways", 1, EVERY_WAY.sideways), ("turning", 2, EVERY_WAY.turning)):
+        drawn = velocity[kinds[name], column]
+        assert low - 1e-6 <= drawn.abs().min() < low + 0.02
+        assert high - 0.02 < drawn.abs().max() <= high + 1e-6
+        assert (drawn > 0.0).float().mean().item() == pytest.approx(0.5, abs=0.05)
+
+
+@given(shares=st.fixed_dictionaries({}, optional=dict.fromkeys(MODES, st.sampled_from((0.0, 1.0, 3.0)))))
+def test_a_mode_without_a_share_is_never_drawn(make_commands, shares):
+    assume(sum(shares.values()) > 0.0)
+    cfg = VelocityCommandCfg(modes=shares, standing_share=0.0, heading_share=0.0, yaw_rate=(0.1, 0.1))
+    kinds = modes_of(make_commands(cfg, num_envs=400, free=True).velocity)
+    for name in MODES:
+        assert kinds[name].any().item() == (shares.get(name, 0.0) > 0.0)
+        assert cfg.asks_for(name) == (shares.get(name, 0.0) > 0.0)
+
+
+def test_a_tile_walked_along_x_gets_forward_commands_alone(make_commands):
+    free = torch.arange(N) % 2 == 0
+    kinds = modes_of(make_commands(EVERY_WAY, free=free).velocity)
+    assert (kinds["forward"] | kinds["standing"])[~free].all()
+    assert kinds["turning"][free].any()
+
+
+def test_without_modes_draws_and_random_numbers_are_what_they_were(make_commands):
+    commands = make_commands(VelocityCommandCfg())
+    torch.manual_seed(5)
+    commands.reset(torch.ones(N, dtype=torch.bool))
+    after = torch.get_rng_state()
+    torch.manual_seed(5)
+    random = torch.rand(N, 6)
+    assert torch.get_rng_state().equal(after)
+    speed = torch.lerp(torch.tensor(0.3), torch.tensor(0.8), random[:, 0]).masked_fill(random[:, 4] < 0.05, 0.0)
+    assert commands.velocity[:, 0].equal(speed)
+
+
+def test_turning_robots_do_not_steer_and_count_as_moving(make_commands):
+    cfg = VelocityCommandCfg(modes={"turning": 1.0}, heading_share=1.0, standing_share=0.0)
+    commands = make_commands(cfg, heading=1.0, free=True)
+    before = commands.velocity
+    commands._env.signals.heading_w = torch.full((N,), 2.0)
+    commands.step()
+    assert commands.velocity.equal(before)
+    assert commands.moving.all()
+
+
+@given(heading=st.floats(-math.pi, math.pi), turned=st.floats(-3.0, 3.0), y=st.floats(-3.0, 3.0))
+def test_on_a_hillside_a_robot_holds_the_heading_at_which_its_command_was_drawn(make_commands, heading, turned, y):
+    commands = make_commands(STEERED, 1, heading, y, free=True)
+    assert commands.velocity[0, 2].abs() < 1e-6
+    commands._env.signals.heading_w = torch.tensor([math.remainder(heading + turned, 2.0 * math.pi)])
+    commands.step()
+    assert commands.velocity[0, 2].item() == pytest.approx(-0.5 * turned, abs=1e-5)
+
+
+def test_a_robot_whose_command_is_not_drawn_anew_keeps_its_heading_target(make_commands):
+    commands = make_commands(STEERED, 2, 0.3, free=True)
+    commands._env.signals.heading_w = torch.full((2,), 0.7)
+    commands.reset(torch.tensor([True, False]))
+    torch.testing.assert_close(commands.velocity[:, 2], torch.tensor([0.0, -0.2]))
+
+
+def test_the_bounds_of_commands_are_those_that_are_drawn():
+    assert VelocityCommandCfg().bounds() == ((0.3, 0.8), (0.0, 0.0), (-0.3, 0.3))
+    assert EVERY_WAY.bounds() == ((-0.4, 0.8), (-0.5, 0.5), (-0.9, 0.9))
+
+
+@pytest.mark.parametrize(
+    ("change", "free", "said"),
+    [
+        ({"modes": {"sidewards": 1.0}}, True, "command mode 'sidewards' does not exist; did you mean 'sideways'"),
+        ({"modes": {"turning": -1.0}}, True, "command: the share of mode 'turning' is -1; it must be 0 or more"),
+        ({"modes": {"turning": math.nan}}, True, "the share of mode 'turning' is nan"),
+        ({"modes": {"turning": 0.0}}, True, "the shares of modes sum to 0"),
+        ({"modes": ALL}, False, "command: mode 'backward' has a share, but every tile is walked along x; .*'hillside'"),
+        ({"backward": (0.4, 0.1)}, True, r"command: backward \(0.4, 0.1\) must be \(lowest, highest\), each 0 or more"),
+        ({"turning": (-0.4, 0.1)}, True, r"command: turning \(-0.4, 0.1\) must be"),
+        ({"sideways": (0.1, math.inf)}, True, r"command: sideways \(0.1, inf\) must be"),
+    ],
+)
+def test_modes_that_cannot_be_drawn_are_refused_in_one_sentence(make_commands, change, free, said):
+    with pytest.raises(UserError, match=said) as caught:
+        make_commands(VelocityCommandCfg(**change), free=free)
+    assert "\n" not in str(caught.value)
+
+
+def test_forward_alone_needs_no_hillside(make_commands):
+    assert (make_commands(VelocityCommandCfg(modes={"forward": 1.0})).velocity[:, 0] >= 0.0).all()

@@ -25,7 +25,7 @@ REACH = LENGTH - SPAWN
 def make_ground(make_env, g1):
     """make_ground(): envs on two columns of tiles that get steeper."""
 
-    def make():
+    def make(omnidirectional=frozenset()):
         origins = np.zeros((LEVELS, 2, 3))
         origins[:, :, 0] = 10.1 * np.arange(LEVELS)[:, None] - 25.0
         origins[:, :, 1] = [-2.5, 2.5]
@@ -39,6 +39,7 @@ def make_ground(make_env, g1):
             tile_length=LENGTH,
             tile_width=5.0,
             spawn_x=SPAWN,
+            omnidirectional=omnidirectional,
         )
         return make_env(
             N,
@@ -255,3 +256,49 @@ def test_a_spread_that_is_no_share_is_refused(env):
 def test_a_least_distance_that_is_none_is_refused(env, least):
     with pytest.raises(UserError, match="terrain levels: least_commanded is .*; it must be 0 or more"):
         TerrainLevels(env, least_commanded=least)
+
+
+# Tiles that are walked in any direction
+
+
+@given(
+    angle=st.floats(-math.pi, math.pi),
+    share=st.floats(0.0, 1.2),
+    commanded=st.floats(0.0, 9.0),
+    fallen=st.booleans(),
+)
+def test_on_a_hillside_a_level_is_earned_by_most_of_what_was_commanded(make_ground, angle, share, commanded, fallen):
+    assume(min(abs(share - 0.8), abs(share - 0.4), abs(commanded - 2.0), abs(commanded - 1.0)) > 1e-3)
+    env = make_ground(frozenset({0, 1}))
+    term = TerrainLevels(env)
+    begin(env, 2)
+    walk(env, term, 0.0)
+    env.terminations.terminated = torch.full((N,), fallen)
+    for part in (0.3, 0.7):
+        angle = -angle
+        follow(env, term, part * commanded, share * part * commanded, (math.cos(angle), math.sin(angle)))
+    up = share > 0.8 and commanded > 2.0 and not fallen
+    down = fallen or (share < 0.4 and commanded > 1.0)
+    assert end(env, term, EVERYWHERE) == [3 if up else 1 if down else 2] * N
+
+
+def test_the_way_along_x_earns_nothing_on_a_hillside_and_all_on_a_tile_walked_along_x(make_ground):
+    env = make_ground(frozenset({1}))  # the column of the last three envs
+    term = TerrainLevels(env)
+    begin(env, 2)
+    walk(env, term, 0.9 * REACH, commanded=9.0, walked=0.5 * 9.0)
+    assert end(env, term, EVERYWHERE) == [3, 3, 3, 2, 2, 2]
+
+
+def test_standing_and_turning_in_place_neither_earn_nor_cost_a_level_on_a_hillside(make_ground):
+    env = make_ground(frozenset({0, 1}))
+    term = TerrainLevels(env)
+    begin(env, 2)
+    walk(env, term, 3.0, commanded=0.0)
+    assert end(env, term, EVERYWHERE) == [2] * N
+
+
+@pytest.mark.parametrize("distance", [0.0, -1.0, math.nan])
+def test_a_level_must_be_earned_by_some_distance(env, distance):
+    with pytest.raises(UserError, match="terrain levels: up_commanded is .*; it must be positive"):
+        TerrainLevels(env, up_commanded=distance)

@@ -10,17 +10,17 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from hypothesis import example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from humoslope.errors import UserError
-from humoslope.managers import TermCfg, TerminationTermCfg, Terms
-from humoslope.mdp import events, terminations
+from humoslope.managers import TermCfg, TerminationTermCfg, Terms, VelocityCommandCfg
+from humoslope.mdp import events, room, terminations
 from humoslope.mdp.curricula import TerrainLevels
 from humoslope.mdp.soles import Soles
 from humoslope.scene.tiles import Tiles
 from humoslope.slope import quaternion
-from humoslope.terrain import TerrainQueries, Tile, TileRowCfg
+from humoslope.terrain import TerrainGridCfg, TerrainQueries, Tile, TileRowCfg
 from humoslope.terrain.registry import Kind
 from robots.unitree_g1 import UNITREE_G1
 from terrains.surfaces import rough
@@ -50,7 +50,7 @@ def start_of(terrain, model, num_envs, yaw, joints=(0.0, 0.0), joints_last=True)
         num_envs=num_envs,
         device=torch.device("cpu"),
         robot=UNITREE_G1,
-        cfg=SimpleNamespace(terminations=Terms(), curriculum=Terms()),
+        cfg=SimpleNamespace(terminations=Terms(), curriculum=Terms(), command=VelocityCommandCfg()),
         sim=SimpleNamespace(model=model, known_rows=lambda mask: mask.nonzero().squeeze(1)),
         terrain=TerrainQueries(terrain, "cpu"),
         tiles=Tiles(terrain, num_envs, torch.device("cpu")),
@@ -163,15 +163,17 @@ def test_a_leg_that_slides_is_refused_by_name():
 # Room on the tile
 
 
-def tile_of(length, width, margin, along=(-0.15, 0.15), across=(-0.5, 0.5), up=None):
+def tile_of(length, width, margin, along=(-0.15, 0.15), across=(-0.5, 0.5), up=None, free=False, **command):
     """Builds the start event on a tile of this size, as far as it concerns the room on it."""
     curriculum = Terms() if up is None else Terms(levels=TermCfg(TerrainLevels, {"up": up}))
     ends = Terms(off_tile=TerminationTermCfg(terminations.off_tile, {"margin": margin}, time_out=True))
     env = SimpleNamespace(
-        cfg=SimpleNamespace(terminations=ends, curriculum=curriculum),
-        tiles=SimpleNamespace(length=length, width=width, spawn_x=0.75),
+        cfg=SimpleNamespace(terminations=ends, curriculum=curriculum, command=VelocityCommandCfg(**command)),
+        tiles=SimpleNamespace(
+            length=length, width=width, spawn_x=0.75, has_straight=not free, has_omnidirectional=free
+        ),
     )
-    events._check_tile(env, along, max(map(abs, across)))
+    room.check_room(env, along, max(map(abs, across)), edge=1.0)
 
 
 @given(
@@ -232,3 +234,87 @@ def far_across(cfg):
 def test_an_environment_without_room_for_its_robots_is_refused_when_it_is_built(make_stage1, override, said):
     with pytest.raises(UserError, match=said):
         make_stage1(4, override)
+
+
+# Room for commands, and hillsides
+
+
+@given(back=st.floats(0.0, 1.0), aside=st.floats(0.0, 1.0), shortest=st.floats(0.5, 9.0), right=st.booleans())
+def test_a_command_that_a_tile_walked_along_x_cannot_hold_is_refused(back, aside, shortest, right):
+    """Behind the start there are 0.75 - 0.15 - 0.3 m, beside it 2.5 - 0.5 - 0.3 m."""
+    assume(min(abs(back * shortest - 0.3), abs(aside * shortest - 1.7)) > 1e-6)
+    lateral = (-aside, 0.0) if right else (0.0, aside)
+    fits = back * shortest <= 0.3 and aside * shortest <= 1.7
+    command = {"speed": (-back, 0.5), "lateral": lateral, "resample_s": (shortest, 12.0)}
+    if fits:
+        tile_of(10.0, 5.0, 0.3, **command)
+        return
+    with pytest.raises(UserError, match=r"command: (speed|lateral) \(.*\) m/s carries a robot .* 'hillside'\.$"):
+        tile_of(10.0, 5.0, 0.3, **command)
+
+
+@pytest.mark.parametrize("mode", ["backward", "sideways"])
+@given(speed=st.floats(0.1, 3.0))
+def test_a_mode_faster_than_any_tile_can_hold_is_refused_with_the_speed_that_would_do(mode, speed):
+    longest = math.hypot(10.0 - 1.6, 5.0 - 1.6)
+
+    def build(speed, share=1.0):
+        tile_of(10.0, 5.0, 0.3, free=True, modes={mode: share, "forward": 1.0}, **{mode: (0.1, speed)})
+
+    assume(abs(8.0 * speed - longest) > 1e-3)
+    if 8.0 * speed < longest:
+        build(speed)
+        return
+    with pytest.raises(UserError, match=rf"command: {mode} goes up to .* no tile has more than .* at most") as caught:
+        build(speed)
+    build(float(re.search(r"at most (\S+) m/s", str(caught.value))[1]))
+    build(speed, share=0.0)
+
+
+@pytest.mark.parametrize(
+    ("length", "width", "said"),
+    [
+        (1.9, 5.0, "a length of 1.9 m; .* tile_length must be at least 2 m"),
+        (5.0, 1.9, "a width of 1.9 m; .*tile_width"),
+    ],
+)
+def test_a_hillside_without_room_for_starts_is_refused(length, width, said):
+    tile_of(5.0, 5.0, 0.3, free=True)
+    with pytest.raises(UserError, match=said):
+        tile_of(length, width, 0.3, free=True)
+
+
+def test_starts_on_a_hillside_lie_inside_the_margin_of_off_tile(make_stage1):
+    def change(cfg):
+        cfg.scene.terrain = TerrainGridCfg(columns={"hillside": 1.0}, levels=1, num_columns=1)
+        cfg.events.root.params["edge"] = 0.5
+
+    with pytest.raises(UserError, match="event 'root': .* within 0.6 m of it .* edge must be at least 0.6 m"):
+        make_stage1(2, change)
+
+
+def test_on_hillsides_robots_start_anywhere_with_any_heading_and_on_other_tiles_as_ever(make_stage1):
+    def change(cfg):
+        cfg.scene.terrain = TerrainGridCfg(columns={"hillside": 1.0, "ramp-up": 1.0}, levels=4, num_columns=2)
+        cfg.events = Terms(root=cfg.events.root)
+        cfg.curriculum = Terms()
+
+    env = make_stage1(400, change)
+    everywhere = torch.ones(400, dtype=torch.bool)
+    env.tiles.set_level(torch.arange(400) % 4)
+    env._restart(everywhere)
+    free = env.tiles.omnidirectional
+    assert free.tolist() == [True] * 200 + [False] * 200
+    signals, offset = env.signals, env.signals.root_pos_w - env.tiles.origin_w
+    for axis, low, high in ((0, 1.0, 9.0), (1, -1.5, 1.5)):
+        place = offset[free, axis]
+        assert low - 1e-4 <= place.min() < low + 0.15
+        assert high - 0.15 < place.max() <= high + 1e-4
+    assert (offset[~free, 0] - 0.75).abs().max() <= 0.15 + 1e-4
+    assert signals.heading_w[~free].abs().max() <= 0.3 + 1e-4
+    quarter = torch.histc(signals.heading_w[free], 4, -math.pi, math.pi)
+    assert quarter.min() > 30
+    assert not signals.foot_contact.any()
+    assert signals.foot_height.min() > 0.0
+    # The soles are lifted out of the slope: 32 degrees over 0.2 m of foot and the width of the stance.
+    assert signals.foot_height[free].min(dim=1).values.max() < 0.1

@@ -44,6 +44,33 @@ def test_a_robot_is_tilted_beyond_its_angle_in_any_direction(make_env, pose, axi
     ],
 )
 def test_a_robot_is_off_its_tile_within_the_margin_of_its_edge(make_env, x, y, off):
-    tiles = SimpleNamespace(origin_w=torch.tensor([[-20.0, 7.0, 0.0]]), length=10.0, width=5.0)
-    signals = SimpleNamespace(root_pos_w=torch.tensor([[-20.0 + x, 7.0 + y, 3.0]]))
-    assert terminations.off_tile(make_env(1, signals=signals, tiles=tiles), margin=0.3).item() is off
+    assert terminations.off_tile(on_tile(make_env, x, y, free=False), margin=0.3).item() is off
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "off"),
+    [
+        (5.0, 0.0, False),
+        (0.61, 1.89, False),
+        (9.39, -1.89, False),
+        (0.59, 0.0, True),
+        (9.41, 0.0, True),
+        (5.0, 1.91, True),
+        (5.0, -1.91, True),
+    ],
+)
+def test_on_a_hillside_the_margin_is_wider_on_all_four_sides(make_env, x, y, off):
+    env = on_tile(make_env, x, y, free=True)
+    assert terminations.off_tile(env, margin=0.3).item() is off
+    assert terminations.off_tile(env, margin=9.0, omnidirectional_margin=0.1).item() is False
+
+
+def on_tile(make_env, x, y, free):
+    tiles = SimpleNamespace(
+        origin_w=torch.tensor([[-20.0, 7.0, 0.0]]),
+        length=10.0,
+        width=5.0,
+        omnidirectional=torch.tensor([free]),
+        has_omnidirectional=free,
+    )
+    return make_env(1, tiles=tiles, signals=SimpleNamespace(root_pos_w=torch.tensor([[-20.0 + x, 7.0 + y, 3.0]])))

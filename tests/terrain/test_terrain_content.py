@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from humoslope.terrain import registry
+from humoslope.terrain import TerrainGridCfg, registry
 from humoslope.terrain.grid import tile_points
-from terrains.profiles import Segment, ramp, ramp_down, track
+from terrains.profiles import Segment, plane, ramp, ramp_down, track
 from terrains.surfaces import SPAWN, banked, rough, smooth, striped, wavy
-from tests.terrain.ground import TRAINING
+from tests.terrain.ground import STRAIGHT
 
 X, Y = tile_points(10.0, 5.0, 0.1)
 
@@ -80,7 +80,7 @@ def test_ribs_are_as_high_as_asked_with_level_ground_between(period: float) -> N
     assert (ribs > 0.015).sum() == pytest.approx(8.0 / period, abs=1.0)
 
 
-@pytest.mark.parametrize("name", TRAINING)
+@pytest.mark.parametrize("name", STRAIGHT)
 def test_no_kind_asks_a_robot_to_climb_a_step_inside_its_tile(name: str) -> None:
     kind = registry.find(name)
     for seed in range(10):
@@ -88,3 +88,48 @@ def test_no_kind_asks_a_robot_to_climb_a_step_inside_its_tile(name: str) -> None
         steepest = np.tan(np.radians(35.0)) * 0.1 + 0.06  # a ramp, and one bump from lowest to highest
         assert np.abs(np.diff(heights, axis=0)).max() <= steepest + 1e-9
         assert np.abs(np.diff(heights, axis=1)).max() <= 0.06 + 1e-9
+
+
+@given(grade=st.floats(0, 40), uphill=st.floats(-180, 180), x=st.floats(0, 10), y=st.floats(-2.5, 2.5))
+def test_a_plane_rises_by_its_grade_in_its_direction_and_is_level_across_it(
+    grade: float, uphill: float, x: float, y: float
+) -> None:
+    ahead = np.array([np.cos(np.radians(uphill)), np.sin(np.radians(uphill))])
+    heights = plane(X, Y, grade, uphill)
+    i, j = round(x / 0.1), round((y + 2.5) / 0.1)
+    offset = np.array([X[i, j] - 5.0, Y[i, j]])
+    assert heights[i, j] == pytest.approx(np.tan(np.radians(grade)) * (offset @ ahead), abs=1e-9)
+
+
+@given(grade=st.floats(0, 32), seed=st.integers(0, 99))
+def test_a_hillside_is_one_plane_of_its_grade_from_edge_to_edge(grade: float, seed: int) -> None:
+    kind = registry.find("hillside")
+    heights = kind.heights(X, Y, grade, np.random.default_rng(seed))
+    along, across = np.gradient(heights, 0.1)
+    np.testing.assert_allclose(np.degrees(np.arctan(np.hypot(along, across))), grade, atol=1e-6)
+    assert heights.mean() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_hillsides_rise_in_every_direction() -> None:
+    kind, directions = registry.find("hillside"), []
+    for seed in range(40):
+        heights = kind.heights(X, Y, 20.0, np.random.default_rng(seed))
+        directions.append(np.arctan2(heights[0, 1] - heights[0, 0], heights[1, 0] - heights[0, 0]))
+    assert np.histogram(directions, bins=4, range=(-np.pi, np.pi))[0].min() >= 3
+
+
+@given(grade=st.floats(1, 32), seed=st.integers(0, 99))
+def test_a_rough_hillside_is_a_hillside_with_bumps_of_up_to_three_centimetres(grade: float, seed: int) -> None:
+    heights = registry.find("rough-hillside").heights(X, Y, grade, np.random.default_rng(seed))
+    base = np.c_[np.ones(X.size), X.ravel(), Y.ravel()]
+    fit = base @ np.linalg.lstsq(base, heights.ravel(), rcond=None)[0]
+    bumps = np.abs(heights.ravel() - fit).max()
+    assert 0.6 * 0.03 * grade / 32.0 < bumps < 1.4 * 0.03 * grade / 32.0
+
+
+def test_only_hillsides_are_walked_in_any_direction_and_the_grid_says_in_which_columns() -> None:
+    free = [name for name in registry.names() if registry.find(name).omnidirectional]
+    assert free == ["hillside", "rough-hillside"]
+    columns = {"hillside": 2.0, "flat": 1.0}
+    assert TerrainGridCfg(columns=columns, levels=2, num_columns=3).build().omnidirectional == {0, 1}
+    assert TerrainGridCfg(columns={"flat": 1.0}, levels=2, num_columns=3).build().omnidirectional == frozenset()

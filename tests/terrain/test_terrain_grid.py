@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from humoslope.errors import UserError
 from humoslope.terrain import Terrain, TerrainGridCfg, Tile, TileRowCfg, registry, terrain
 from terrains.stage1 import stage1
-from tests.terrain.ground import TRAINING
+from tests.terrain.ground import STRAIGHT, TRAINING
 
 
 @pytest.fixture(autouse=True)
@@ -32,8 +32,8 @@ def tile(built: Terrain, level: int, column: int) -> Any:
     ]
 
 
-def test_every_tile_starts_level_at_its_origin_and_robots_start_on_level_ground() -> None:
-    built = TerrainGridCfg(columns=dict.fromkeys(TRAINING, 1.0), levels=5).build()
+def test_every_tile_walked_along_x_starts_level_at_its_origin_and_robots_start_on_level_ground() -> None:
+    built = TerrainGridCfg(columns=dict.fromkeys(STRAIGHT, 1.0), levels=5).build()
     for level in range(5):
         for column in range(20):
             heights = tile(built, level, column)

@@ -51,9 +51,9 @@ def introduce(console: Console, env: ManagerBasedRlEnv, provenance: Provenance, 
     console.print(
         f"[bold]{provenance.task}[/bold], iteration {provenance.iteration}, {seen}\n"
         f"{env.num_envs} envs, {protocol.starts} for each of {len(protocol.grades)} grades; "
-        f"{protocol.speed:g} m/s for {protocol.seconds:g} s; {friction}\n"
+        f"{protocol.in_words} for {protocol.seconds:g} s; {friction}\n"
         f"physics '{env.sim.backend}' on {env.device}, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone; "
-        "no noise, pushes, harness or randomisation but the start",
+        f"no noise, {'' if protocol.push else 'pushes, '}harness or randomisation but the start",
         highlight=False,
         soft_wrap=True,
     )

@@ -21,9 +21,11 @@ from humoslope.provenance import plain
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Lets a trained policy walk on flat ground and on ramps, without noise, pushes or harness, and counts its falls.
+    """Lets a trained policy walk on flat ground and on ramps, without noise or harness, and counts its falls.
 
-    With --speed 0 it is commanded to stand there, and its creep and its steps are measured.
+    With --speed 0 it is commanded to stand there, and its creep and its steps are measured. It may also be commanded
+    to walk backward (--speed -0.3), to a side (--speed 0 --lateral 0.3) or across the slope (--across), or to turn in
+    place (--speed 0 --yaw-rate 0.6), and be pushed (--push 1.0).
 
     Attributes:
         checkpoint: Path of a checkpoint; a run folder stands for its newest one.

@@ -26,8 +26,11 @@ class Trials:
         seconds: [N] duration, s.
         start, end: [N] first and last place along the tile, m.
         samples: [N] control steps that the averages are over.
+        measured_s: [N] duration of these steps, s; NaN where there were none.
         speed: [N] mean forward speed along the ground, m/s.
         squared_error: [N] summed squared difference of that speed from the commanded one, (m/s)^2.
+        lateral: [N] mean speed to the left along the ground, m/s.
+        yaw_rate: [N] mean rate of the root about the vertical, rad/s.
         height: [N] mean height of the root above the ground, m.
         creep: [N, 2] mean |velocity| along the ground, forward and to the left, m/s.
         drift: [N, 2] horizontal displacement between settling and the last place, along and across the tile, m.
@@ -40,8 +43,11 @@ class Trials:
     start: Array
     end: Array
     samples: Array
+    measured_s: Array
     speed: Array
     squared_error: Array
+    lateral: Array
+    yaw_rate: Array
     height: Array
     creep: Array
     drift: Array
@@ -83,12 +89,20 @@ class Recorder:
         self._air = torch.zeros_like(place)  # [N, 2] control steps that each foot has been in the air
         # Sums are double: a thousand steps of single precision would show in the fourth digit.
         self._samples = torch.zeros_like(self._steps, dtype=torch.float64)
-        self._speed, self._error, self._height, self._landings = (torch.zeros_like(self._samples) for _ in range(4))
+        self._speed, self._lateral, self._yaw_rate = (torch.zeros_like(self._samples) for _ in range(3))
+        self._error, self._height, self._landings = (torch.zeros_like(self._samples) for _ in range(3))
         self._creep = torch.zeros_like(place, dtype=torch.float64)
         self._step = 0
 
     def add(
-        self, place: Tensor, velocity: Tensor, height: Tensor, contact: Tensor, failed: Tensor, ended: Tensor
+        self,
+        place: Tensor,
+        velocity: Tensor,
+        yaw_rate: Tensor,
+        height: Tensor,
+        contact: Tensor,
+        failed: Tensor,
+        ended: Tensor,
     ) -> None:
         """Adds one control step.
 
@@ -97,6 +111,7 @@ class Recorder:
         Args:
             place: [N, 2] along and across the tile, m.
             velocity: [N, 2] along the ground, forward and to the left, m/s.
+            yaw_rate: [N] of the root about the vertical, rad/s.
             height: [N] root above the ground, m.
             contact: [N, 2] bool; feet that touch the ground.
             failed: [N] bool; the episode ended in failure.
@@ -117,6 +132,8 @@ class Recorder:
         self._samples = self._samples + self._running
         speed = velocity[:, 0]
         self._speed = self._speed + torch.where(self._running, speed, 0.0)
+        self._lateral = self._lateral + torch.where(self._running, velocity[:, 1], 0.0)
+        self._yaw_rate = self._yaw_rate + torch.where(self._running, yaw_rate, 0.0)
         self._error = self._error + torch.where(self._running, (speed - self._commanded).square(), 0.0)
         self._height = self._height + torch.where(self._running, height, 0.0)
         self._creep = self._creep + torch.where(running, velocity.abs(), 0.0)
@@ -133,8 +150,11 @@ class Recorder:
             start=to_host(self._start[:, 0]),
             end=to_host(self._end[:, 0]),
             samples=to_host(self._samples),
+            measured_s=to_host(samples * self._dt),
             speed=to_host(self._speed / samples),
             squared_error=to_host(self._error),
+            lateral=to_host(self._lateral / samples),
+            yaw_rate=to_host(self._yaw_rate / samples),
             height=to_host(self._height / samples),
             creep=to_host(self._creep / samples[:, None]),
             drift=to_host((self._end - self._settled).double().masked_fill(nothing, torch.nan)),

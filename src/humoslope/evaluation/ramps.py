@@ -1,8 +1,9 @@
 """The ramp check: speed and falls of a policy that walks up and down planar ramps, or stands on them.
 
 It is the same for every task: a flat approach, then one planar ramp; fixed friction; small random starts; elliptic cone
-at a fine physics step; no observation noise, pushes, harness, curriculum or other randomisation. With a commanded speed
-of zero the robot starts on the slope, is commanded to stand, and its creep and its steps are measured.
+at a fine physics step; no observation noise, harness, curriculum or randomisation, and no pushes unless asked for. With
+a commanded speed of zero the robot starts on the slope, is commanded to stand, and its creep and its steps are
+measured. Commanded to walk backward, to a side or across the slope, or to turn, it starts on the slope too.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ SETTLE_S = 2.0
 STEEPEST = 60.0
 """Largest grade, degrees."""
 LONGEST = 200.0
-"""Longest tile, m."""
+"""Longest and widest tile, m."""
+WIDTH = 5.0
+"""Width of a tile whose centre line the robot keeps to, m."""
 EDGE = 0.3
 """Distance from the tile's edge at which a robot has left it, m."""
 ALONG, ACROSS, YAW = 0.15, 0.5, 0.3
@@ -44,7 +47,7 @@ ALONG, ACROSS, YAW = 0.15, 0.5, 0.3
 START_JOINTS = {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}
 """Random offsets of joints from the default pose, rad and rad/s."""
 CREEP = 0.5
-"""Speed at which a robot that is commanded to stand does not reach the edge of its tile in time, m/s."""
+"""Speed at which a robot that drifts in a direction that is not commanded stays on its tile for the trial, m/s."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,14 @@ class RampProtocol:
     Attributes:
         grades: Grades of the ramps, degrees; negative goes down.
         starts: Trials on each ramp.
-        speed: Commanded forward speed, m/s, straight up or down the ramp; 0 commands the robot to stand on it.
+        speed: Commanded forward speed, m/s, straight up or down the ramp; negative is backward. 0 commands the robot to
+            stand on it, unless it is to walk to a side or to turn.
+        lateral: Commanded speed to the left, m/s; negative is to the right.
+        yaw_rate: Commanded yaw rate, rad/s, positive to the left; 0 holds the heading.
+        across: Turns the ramp by 90 degrees, so that the robot faces across it: positive grades rise to its left,
+            negative ones to its right.
+        push: Change of the horizontal velocity by each push, m/s, in a random direction; 0 for none.
+        push_every: Time from one push to the next, s.
         seconds: Length of a trial, s.
         timestep: Physics step, s; the control step stays the task's.
         friction: Smallest friction coefficient between feet and ground.
@@ -67,6 +77,11 @@ class RampProtocol:
     grades: tuple[float, ...] = (0.0, 10.0, -10.0, 20.0, -20.0, 25.0, -25.0, 30.0, -30.0)
     starts: int = 256
     speed: float = 0.5
+    lateral: float = 0.0
+    yaw_rate: float = 0.0
+    across: bool = False
+    push: float = 0.0
+    push_every: float = 5.0
     seconds: float = 20.0
     timestep: float = 0.005
     friction: float = 0.8
@@ -83,46 +98,76 @@ class RampProtocol:
                 raise UserError(f"ramps: grade {grade:g} must be between {-STEEPEST:g} and {STEEPEST:g} degrees.")
         if self.starts < 1:
             raise UserError(f"ramps: starts is {self.starts}; each ramp needs at least 1.")
-        require_positive("ramps", seconds=self.seconds, timestep=self.timestep)
+        require_positive("ramps", seconds=self.seconds, timestep=self.timestep, push_every=self.push_every)
+        for name in ("speed", "lateral", "yaw_rate"):
+            if not math.isfinite(getattr(self, name)):
+                raise UserError(f"ramps: {name} is {getattr(self, name):g}; it must be a finite number.")
         require_not_negative(
             "ramps",
-            speed=self.speed,
+            push=self.push,
             friction=self.friction,
             friction_margin=self.friction_margin,
             fall_height=self.fall_height,
             fall_tilt=self.fall_tilt,
         )
-        if self.tile_length > LONGEST:
-            raise UserError(
-                f"ramps: {self.speed:g} m/s for {self.seconds:g} s needs {self.tile_length:g} m of ground; "
-                f"there are at most {LONGEST:g} m."
-            )
+        for speed, extent in ((self.speed, self.tile_length), (self.lateral, self.tile_width)):
+            if extent > LONGEST:
+                raise UserError(
+                    f"ramps: {speed:g} m/s for {self.seconds:g} s needs {extent:g} m of ground; "
+                    f"there are at most {LONGEST:g} m."
+                )
 
     @property
     def standing(self) -> bool:
         """True if the robot is commanded to stand."""
-        return self.speed == 0.0
+        return self.speed == self.lateral == self.yaw_rate == 0.0
+
+    @property
+    def straight(self) -> bool:
+        """True if the robot is commanded to walk forward, straight up or down a ramp with an approach."""
+        return self.speed > 0.0 and self.lateral == self.yaw_rate == 0.0 and not self.across
+
+    @property
+    def in_words(self) -> str:
+        """What the robot is commanded, and what happens to it, such as "0.5 m/s across the slope"."""
+        words = [f"{self.speed:g} m/s"]
+        if self.lateral:
+            words.append(f"{abs(self.lateral):g} m/s to the {'left' if self.lateral > 0.0 else 'right'}")
+        if self.yaw_rate:
+            words.append(f"{self.yaw_rate:g} rad/s")
+        pushes = f", pushed by {self.push:g} m/s every {self.push_every:g} s," if self.push else ""
+        return f"{', '.join(words)}{' across the slope' if self.across else ''}{pushes}"
 
     @property
     def approach(self) -> float:
-        """Level ground before the ramp, m; none if the robot stands."""
-        return 0.0 if self.standing else APPROACH
+        """Level ground before the ramp, m; none if the robot starts on the slope."""
+        return APPROACH if self.straight else 0.0
 
     @property
     def tile_length(self) -> float:
         """Extent of the ground in the direction of travel, m.
 
-        It is long enough for 2.5 times the commanded speed, or for a robot that creeps at `CREEP` up or down from its
-        middle.
+        It is long enough for 2.5 times the commanded speed; where the robot starts in its middle, also for one that
+        creeps at `CREEP` up or down.
         """
-        if self.standing:
-            return max(4.0, float(math.ceil(2.0 * (CREEP * self.seconds + EDGE + ALONG))))
-        return max(4.0, float(math.ceil(SPAWN_X + 2.5 * self.speed * self.seconds)))
+        if self.straight:
+            return max(4.0, float(math.ceil(SPAWN_X + 2.5 * self.speed * self.seconds)))
+        return max(4.0, float(math.ceil(2.0 * (self._reach(self.speed) + EDGE + ALONG))))
+
+    @property
+    def tile_width(self) -> float:
+        """Extent of the ground across, m; wide enough as `tile_length` unless the robot keeps to the centre line."""
+        if self.straight or (self.standing and not self.across):
+            return WIDTH
+        return max(WIDTH, float(math.ceil(2.0 * (self._reach(self.lateral) + EDGE + ACROSS))))
+
+    def _reach(self, speed: float) -> float:
+        return max(2.5 * abs(speed), CREEP) * self.seconds
 
     @property
     def start_along(self) -> tuple[float, float]:
         """Range of the random start, m from `SPAWN_X`."""
-        middle = 0.5 * self.tile_length - SPAWN_X if self.standing else 0.0
+        middle = 0.0 if self.straight else 0.5 * self.tile_length - SPAWN_X
         return middle - ALONG, middle + ALONG
 
     def friction_on(self, grade: float) -> float:
@@ -148,6 +193,27 @@ class Standing:
 
 
 @dataclass(frozen=True)
+class Manoeuvre:
+    """Figures of a robot that was commanded to do anything but walk straight ahead or stand, from 2 s on.
+
+    Attributes:
+        lateral_speed: Speed to the left along the ground, mean of the trials' means, m/s.
+        velocity_error: Distance of a trial's mean velocity along the ground, forward and to the left, from the
+            commanded one, averaged over trials, m/s.
+        yaw_rate: Rate about the vertical, mean of the trials' means, rad/s.
+        yaw_rate_error: Difference of a trial's mean rate from the commanded one, averaged over trials, rad/s.
+        slip: Speed down the slope that the robot faces across, along the ground: from the places at 2 s and at the end,
+            averaged over trials, m/s. None if it does not face across a slope.
+    """
+
+    lateral_speed: float | None
+    velocity_error: float | None
+    yaw_rate: float | None
+    yaw_rate_error: float | None
+    slip: float | None
+
+
+@dataclass(frozen=True)
 class RampResult:
     """Figures of one ramp; None where no trial lasted long enough to measure them.
 
@@ -163,6 +229,7 @@ class RampResult:
         distance: Mean distance walked along the course on its surface, m.
         seconds: Mean duration of a trial, s.
         standing: Further figures if the robot was commanded to stand, else None.
+        manoeuvre: Further figures if it was commanded to do anything but stand or walk straight ahead, else None.
     """
 
     grade: float
@@ -176,6 +243,7 @@ class RampResult:
     distance: float
     seconds: float
     standing: Standing | None = None
+    manoeuvre: Manoeuvre | None = None
 
 
 def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str] = ("actor",)) -> EnvCfg:
@@ -193,6 +261,18 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str]
     """
     friction = {"friction": (protocol.friction,) * 2, "slope_margin": protocol.friction_margin}
     start = {"along": protocol.start_along, "across": (-ACROSS, ACROSS), "yaw": (-YAW, YAW)}
+    happenings = Terms(
+        friction=EventTermCfg(events.randomize_friction, friction, mode="startup"),
+        root=EventTermCfg(events.ResetOnTile, start),
+        joints=EventTermCfg(events.reset_joints, START_JOINTS),
+    )
+    if protocol.push:
+        happenings.push = EventTermCfg(
+            events.push_in_random_direction,
+            {"speed": protocol.push},
+            mode="interval",
+            interval_s=(protocol.push_every,) * 2,
+        )
     sim = measuring_physics(task_env.sim, protocol.timestep, "ramps")
     return dataclasses.replace(
         task_env,
@@ -205,9 +285,13 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str]
         command=dataclasses.replace(
             task_env.command,
             speed=(protocol.speed,) * 2,
-            lateral=(0.0, 0.0),
-            heading_share=0.0 if protocol.standing else 1.0,
+            lateral=(protocol.lateral,) * 2,
+            yaw_rate=(protocol.yaw_rate,) * 2 if protocol.yaw_rate else task_env.command.yaw_rate,
+            heading_share=0.0 if protocol.standing or protocol.yaw_rate else 1.0,
+            # Only a robot that walks ahead along its tile comes back to the centre line by turning towards it.
+            lateral_gain=task_env.command.lateral_gain if protocol.straight else 0.0,
             standing_share=1.0 if protocol.standing else 0.0,
+            modes={},
         ),
         observations=policy_observations(task_env, groups, enable_corruption=False),
         rewards=Terms(),
@@ -217,27 +301,25 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str]
             root_too_low=TerminationTermCfg(terminations.root_too_low, {"height": protocol.fall_height}),
             tilted=TerminationTermCfg(terminations.tilted, {"degrees": protocol.fall_tilt}),
         ),
-        events=Terms(
-            friction=EventTermCfg(events.randomize_friction, friction, mode="startup"),
-            root=EventTermCfg(events.ResetOnTile, start),
-            joints=EventTermCfg(events.reset_joints, START_JOINTS),
-        ),
+        events=happenings,
         curriculum=Terms(),
     )
 
 
 def _ground(protocol: RampProtocol) -> TileRowCfg:
     up, down = (
-        Kind(name, (0.0, STEEPEST), partial(_ramp, sign=sign, approach=protocol.approach))
+        Kind(name, (0.0, STEEPEST), partial(_ramp, sign=sign, approach=protocol.approach, across=protocol.across))
         for name, sign in (("up", 1.0), ("down", -1.0))
     )
     tiles = [Tile(down if grade < 0.0 else up, abs(grade)) for grade in protocol.grades]
-    return TileRowCfg(tiles, tile_length=protocol.tile_length)
+    return TileRowCfg(tiles, tile_length=protocol.tile_length, tile_width=protocol.tile_width)
 
 
-def _ramp(x: Array, y: Array, grade: float, rng: np.random.Generator, sign: float, approach: float) -> Array:
-    """Level up to `approach`, then a plane to the end of the tile."""
-    return sign * math.tan(math.radians(grade)) * np.maximum(x - approach, 0.0)
+def _ramp(
+    x: Array, y: Array, grade: float, rng: np.random.Generator, sign: float, approach: float, across: bool
+) -> Array:
+    """Level up to `approach`, then a plane to the end of the tile; or one plane that rises to the left."""
+    return sign * math.tan(math.radians(grade)) * (y if across else np.maximum(x - approach, 0.0))
 
 
 def along_course(x: Array, grade: float, approach: float = APPROACH) -> Array:
@@ -264,6 +346,7 @@ def run_trials(
         recorder.add(
             place=signals.root_pos_w[:, :2] - start,
             velocity=signals.root_lin_vel_t[:, :2],
+            yaw_rate=-(signals.projected_gravity_b * signals.root_ang_vel_b).sum(dim=1),
             height=signals.root_height,
             contact=signals.foot_contact,
             failed=failed,
@@ -279,7 +362,8 @@ def summarise(trials: Trials, protocol: RampProtocol) -> list[RampResult]:
     results = []
     for i, grade in enumerate(protocol.grades):
         there = trials[i * protocol.starts : (i + 1) * protocol.starts]
-        first, last = (along_course(place, grade, protocol.approach) for place in (there.start, there.end))
+        incline = 0.0 if protocol.across else grade
+        first, last = (along_course(place, incline, protocol.approach) for place in (there.start, there.end))
         results.append(
             RampResult(
                 grade=grade,
@@ -292,25 +376,46 @@ def summarise(trials: Trials, protocol: RampProtocol) -> list[RampResult]:
                 root_height=mean(there.height),
                 distance=float((last - first).mean()),
                 seconds=float(there.seconds.mean()),
-                standing=_standing(there, grade) if protocol.standing else None,
+                standing=_standing(there, grade, protocol.across) if protocol.standing else None,
+                manoeuvre=None if protocol.standing or protocol.straight else _manoeuvre(there, grade, protocol),
             )
         )
     return results
 
 
-def _standing(trials: Trials, grade: float) -> Standing:
+def _standing(trials: Trials, grade: float, faces_across: bool) -> Standing:
     along, across = trials.drift.T
+    inclined, level = (across, along) if faces_across else (along, across)
     return Standing(
         creep_along=mean(trials.creep[:, 0]),
         creep_across=mean(trials.creep[:, 1]),
-        drift=mean(np.hypot(along / math.cos(math.radians(grade)), across)),
+        drift=mean(np.hypot(inclined / math.cos(math.radians(grade)), level)),
         touchdowns_per_s=mean(trials.touchdowns),
     )
+
+
+def _manoeuvre(trials: Trials, grade: float, protocol: RampProtocol) -> Manoeuvre:
+    off = np.hypot(trials.speed - protocol.speed, trials.lateral - protocol.lateral)
+    return Manoeuvre(
+        lateral_speed=mean(trials.lateral),
+        velocity_error=mean(off),
+        yaw_rate=mean(trials.yaw_rate),
+        yaw_rate_error=mean(np.abs(trials.yaw_rate - protocol.yaw_rate)),
+        slip=mean(_slip(trials, grade)) if protocol.across and grade else None,
+    )
+
+
+def _slip(trials: Trials, grade: float) -> Array:
+    """Speed down a slope that rises to the left for positive grades, along the ground, [N] m/s."""
+    downhill = -math.copysign(1.0, grade) * trials.drift[:, 1] / math.cos(math.radians(grade))
+    return downhill / trials.measured_s
 
 
 FALLS = ("grade\n°", "\nfalls", "share\n%", "95 %\ninterval", "off\ncourse")
 WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 2}
 STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3}
+MANOEUVRE = {"ahead\nm/s": 3, "left\nm/s": 3, "off\nm/s": 3, "turn\nrad/s": 3, "off\nrad/s": 3}
+ACROSS_SLOPE = {"ahead\nm/s": 3, "left\nm/s": 3, "off\nm/s": 3, "slip\nm/s": 3, "height\nm": 3}
 """Columns of the table and their decimals."""
 
 
@@ -319,14 +424,18 @@ def table(results: Sequence[RampResult]) -> Table:
     # Without padding a row fits into a terminal of 80 columns; a cut number is worse than a tight one.
     table = Table(title="Ramps", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     table.caption = "averages: from 2 s on, while the robot is up"
-    columns = STANDING if any(r.standing for r in results) else WALKING
+    columns = _columns(results)
     for column in (*FALLS, *columns):
         table.add_column(column, justify="right", no_wrap=True)
     for r in sorted(results, key=lambda r: r.grade):
         if (s := r.standing) is not None:
             figures = (s.creep_along, s.creep_across, s.drift, s.touchdowns_per_s, r.root_height)
-        else:
+        elif (m := r.manoeuvre) is None:
             figures = (r.speed, r.speed_error, r.speed_rms_error, r.root_height, r.distance)
+        elif columns is ACROSS_SLOPE:
+            figures = (r.speed, m.lateral_speed, m.velocity_error, m.slip, r.root_height)
+        else:
+            figures = (r.speed, m.lateral_speed, m.velocity_error, m.yaw_rate, m.yaw_rate_error)
         table.add_row(
             f"{r.grade:+g}" if r.grade else "0",
             f"{r.falls.count}/{r.falls.total}",
@@ -336,3 +445,13 @@ def table(results: Sequence[RampResult]) -> Table:
             *("-" if v is None else f"{v:.{digits}f}" for v, digits in zip(figures, columns.values(), strict=True)),
         )
     return table
+
+
+def _columns(results: Sequence[RampResult]) -> dict[str, int]:
+    """Columns of the table that tell what the robot was commanded."""
+    if any(r.standing for r in results):
+        return STANDING
+    manoeuvres = [r.manoeuvre for r in results if r.manoeuvre is not None]
+    if not manoeuvres:
+        return WALKING
+    return ACROSS_SLOPE if any(m.slip is not None for m in manoeuvres) else MANOEUVRE

@@ -253,13 +253,11 @@ def _joints(env: ManagerBasedRlEnv, scale_factor: float) -> tuple[contracts.Join
 
 
 def _commands(cfg: VelocityCommandCfg) -> contracts.Commands:
-    low, high = cfg.yaw_rate
-    if cfg.heading_share > 0.0:
-        low, high = min(low, -cfg.yaw_rate_limit), max(high, cfg.yaw_rate_limit)
+    forward, left, turn = cfg.bounds()
     return contracts.Commands(
-        forward_m_s=cfg.speed,
-        left_m_s=cfg.lateral,
-        yaw_rate_rad_s=(low, high),
+        forward_m_s=forward,
+        left_m_s=left,
+        yaw_rate_rad_s=turn,
         trained_to_stand=cfg.standing_share > 0.0,
         held_s=cfg.resample_s,
         steering=contracts.Steering(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from humoslope.errors import UserError, require_not_negative
+from humoslope.errors import UserError, require_not_negative, require_positive
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.mdp.harness import Harness, commanded_and_walked
 
@@ -18,15 +18,21 @@ if TYPE_CHECKING:
 class TerrainLevels(CurriculumTerm):
     """An env moves to a harder tile after covering most of its own, and to an easier one after failing.
 
-    Up: `up` of the way from the start of the episode to the end of the tile was covered. Down: otherwise, after a fall,
-    or if the robot walked less than `down` of the distance that was commanded, along the ground and in whatever
-    direction. From the hardest level an env moves to a random one, so that the easy ones are not forgotten.
+    Up, on a tile that is walked along x: `up` of the way from the start of the episode to the end of the tile was
+    covered. Up, on a tile that is walked in any direction, where no such way exists: the robot did not fall, at least
+    `up_commanded` was commanded, and it walked `up` of that. Down: otherwise, after a fall, or if the robot walked less
+    than `down` of the distance that was commanded. The commanded distance, and what was walked of it, are summed over
+    the episode: the commanded speed along the ground in whatever direction, and the root's speed in that direction.
+    Standing and turning in place thus neither earn nor cost a level unless the robot falls. From the hardest level an
+    env moves to a random one, so that the easy ones are not forgotten.
 
     Args:
-        up: Share of the way to the end of the tile.
+        up: Share of the way to the end of the tile, or of the commanded distance on a tile walked in any direction.
         down: Share of the commanded distance.
         least_commanded: Commanded distance below which only a fall costs a level, m. Ours: what little a robot drifts
             while it stands, or in an episode that was cut short, is no failure.
+        up_commanded: Commanded distance below which no level is earned on a tile walked in any direction, m. Ours:
+            three or four steps; such a robot may start close to the edge and walk off it.
         harness: Name of the `Harness` event: levels open as it is withdrawn. Empty for no such limit.
         spread: Share of the levels over which envs are spread at random at first, from the easiest: 0 for the easiest
             alone, 1 for a policy that can walk them all already.
@@ -42,14 +48,17 @@ class TerrainLevels(CurriculumTerm):
         least_commanded: float = 1.0,
         harness: str = "",
         spread: float = 0.0,
+        up_commanded: float = 2.0,
     ) -> None:
         if not 0.0 < down < up <= 1.0:
             raise UserError(f"terrain levels: down {down:g} and up {up:g} must be shares with 0 < down < up <= 1.")
         if not 0.0 <= spread <= 1.0:
             raise UserError(f"terrain levels: spread {spread:g} must be between 0 and 1.")
         require_not_negative("terrain levels", least_commanded=least_commanded)
+        require_positive("terrain levels", up_commanded=up_commanded)
         env.tiles.set_level(torch.randint_like(env.tiles.level, max(1, round(spread * env.tiles.num_levels))))
         self._env, self._up, self._down, self._least = env, up, down, least_commanded
+        self._up_commanded = up_commanded
         self._harness: Harness | None = env.events[harness] if harness else None
         if self._harness is not None and not isinstance(self._harness, Harness):
             raise UserError(f"terrain levels: event '{harness}' is not a Harness.")
@@ -69,6 +78,9 @@ class TerrainLevels(CurriculumTerm):
         start = env.start_root_pos_w[:, 0]
         covered = env.signals.root_pos_w[:, 0] - start
         rise = covered >= self._up * (tiles.origin_w[:, 0] + tiles.length - start)
+        if tiles.has_omnidirectional:
+            enough = (self._walked >= self._up * self._commanded) & (self._commanded >= self._up_commanded)
+            rise = torch.where(tiles.omnidirectional, enough & ~env.terminations.terminated, rise)
         lazy = (self._walked < self._down * self._commanded) & (self._commanded >= self._least)
         sink = ~rise & (env.terminations.terminated | lazy)
         judged = mask & ~env.diverged  # the place of a robot whose physics failed has no meaning

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from humoslope.errors import UserError
 from humoslope.managers.terms import StatefulTerm
-from humoslope.mdp import terminations
-from humoslope.mdp.curricula import TerrainLevels
+from humoslope.mdp.room import check_room
 from humoslope.mdp.selection import Body, body_id
 from humoslope.mdp.soles import Soles
 from humoslope.ranges import NotNegative, NotNegativeSpan, Span
@@ -27,7 +26,10 @@ def _set(field: Tensor, mask: Tensor, value: Tensor) -> None:
 
 
 class ResetOnTile(StatefulTerm):
-    """Reset event: starts the robot upright at the start of its tile, with its soles just above the ground.
+    """Reset event: starts the robot upright on its tile, with its soles just above the ground.
+
+    On a tile that is walked along x it starts at the tile's spawn place. On one that is walked in any direction it
+    starts anywhere, with any heading; `along`, `across` and `yaw` do not matter there.
 
     Whatever the ground and the heading, the lowest point of the feet relative to the ground is `lift` above it, in the
     pose that all reset events together have drawn, in whatever order.
@@ -36,21 +38,34 @@ class ResetOnTile(StatefulTerm):
         along, across: Offset from the tile's spawn place, m.
         yaw: Heading relative to the direction of travel, rad.
         lift: Vertical distance of the soles from the ground, m.
+        edge: Least distance of a start from the edges of a tile that is walked in any direction, m. Ours.
 
     Raises:
-        UserError: If the tile is too short or too narrow for these offsets and the margin of `off_tile`.
+        UserError: If the tile is too short or too narrow for these offsets and the margins of `off_tile`, or for the
+            commands.
     """
 
-    def __init__(self, env: Env, along: Span, across: Span, yaw: Span, lift: NotNegative = 0.01) -> None:
+    def __init__(
+        self, env: Env, along: Span, across: Span, yaw: Span, lift: NotNegative = 0.01, edge: NotNegative = 1.0
+    ) -> None:
         self._env, self._along, self._across, self._yaw, self._lift = env, along, across, yaw, lift
         self._soles = Soles(env.sim.model, env.robot, env.device)
-        _check_tile(env, along, max(abs(edge) for edge in across))
+        self._edge = edge
+        check_room(env, along, max(abs(offset) for offset in across), edge)
 
     def __call__(self, env: Env, mask: Tensor) -> None:
         tiles, start = env.tiles, env.start_qpos
         start[:, 0] = tiles.origin_w[:, 0] + tiles.spawn_x + env.uniform(*self._along)
         start[:, 1] = tiles.origin_w[:, 1] + env.uniform(*self._across)
         start[:, 3:7] = quaternion.from_yaw(env.uniform(*self._yaw))
+        if tiles.has_omnidirectional:
+            anywhere, room = env.uniform(0.0, 1.0, 3), 2.0 * self._edge
+            x = tiles.origin_w[:, 0] + self._edge + (tiles.length - room) * anywhere[:, 0]
+            y = tiles.origin_w[:, 1] + (tiles.width - room) * (anywhere[:, 1] - 0.5)
+            free = tiles.omnidirectional
+            start[:, :2] = torch.where(free[:, None], torch.stack([x, y], dim=1), start[:, :2])
+            turned = quaternion.from_yaw(2.0 * torch.pi * anywhere[:, 2])
+            start[:, 3:7] = torch.where(free[:, None], turned, start[:, 3:7])
 
     def reset(self, mask: Tensor) -> None:
         """Sets the height of the root. Called when all reset events have written their part of the start."""
@@ -60,41 +75,6 @@ class ResetOnTile(StatefulTerm):
         points = self._soles(drawn, quaternion.matrix(drawn[:, 3:7]))  # [n, P, 3] from the root
         ground = self._env.terrain.height(drawn[:, None, :2] + points[:, :, :2])
         start[rows, 2] = (ground - points[:, :, 2]).amax(dim=1) + self._lift
-
-
-def _check_tile(env: Env, along: tuple[float, float], across: float) -> None:
-    """Checks that robots start, and can earn the next level, before they are at the edge of their tile.
-
-    Raises:
-        UserError: If not, with the length or width that would do.
-    """
-    tiles = env.tiles
-    ends = [term.params["margin"] for _, term in env.cfg.terminations.items() if term.func is terminations.off_tile]
-    margin = max(ends, default=0.0)
-    first, last = (tiles.spawn_x + offset for offset in along)
-    if first < margin:
-        raise UserError(
-            f"robots start from {first:g} m on, but within {margin:g} m of the tile's edge (margin of off_tile) an "
-            f"episode ends; along must be at least {margin - tiles.spawn_x:g} m, or the margin at most {first:g} m."
-        )
-    needs = {"the start": last + margin}
-    for _, term in env.cfg.curriculum.items():
-        up = term.params.get("up", 0.8) if term.func is TerrainLevels else 0.0
-        if up == 1.0 and margin > 0.0:
-            raise UserError(f"up 1 of TerrainLevels cannot be reached with a margin of {margin:g} m at the tile's end.")
-        if up > 0.0:
-            needs[f"{up:.0%} of the way"] = tiles.spawn_x + margin / (1.0 - up) if margin else tiles.spawn_x
-    reason = max(needs, key=lambda name: needs[name])
-    if tiles.length < needs[reason]:
-        raise UserError(
-            f"the tile is {tiles.length:g} m long; for {reason} and a margin of {margin:g} m at its end tile_length "
-            f"must be at least {needs[reason]:g} m."
-        )
-    if tiles.width < 2.0 * (across + margin):
-        raise UserError(
-            f"the tile is {tiles.width:g} m wide; for a start up to {across:g} m off its middle and a margin of "
-            f"{margin:g} m at its sides tile_width must be at least {2.0 * (across + margin):g} m."
-        )
 
 
 def reset_joints(env: Env, mask: Tensor, position: Span, velocity: Span) -> None:
@@ -118,6 +98,17 @@ def push(env: Env, mask: Tensor, speed: NotNegative) -> None:
     """
     qvel = env.sim.state("qvel")
     kick = env.uniform(-speed, speed, 2)
+    _set(qvel[:, :2], mask, qvel[:, :2] + kick)
+
+
+def push_in_random_direction(env: Env, mask: Tensor, speed: NotNegative) -> None:
+    """Changes the root's horizontal velocity at once, always by the same amount.
+
+    Args:
+        speed: Size of the change, m/s; its direction is uniform.
+    """
+    qvel, angle = env.sim.state("qvel"), env.uniform(0.0, 2.0 * torch.pi)
+    kick = speed * torch.stack([angle.cos(), angle.sin()], dim=1)
     _set(qvel[:, :2], mask, qvel[:, :2] + kick)
 
 

@@ -24,6 +24,9 @@ class Tiles:
         length: Extent of a tile along x, m.
         width: Extent of a tile along y, m.
         spawn_x: Distance of the spawn place from the tile's start, m.
+        omnidirectional: [N] bool, True where the tile is walked in any direction from any place, False where it is
+            walked from its start along x.
+        has_omnidirectional, has_straight: True if any column of the terrain is of the one and of the other sort.
     """
 
     def __init__(self, terrain: Terrain, num_envs: int, device: torch.device) -> None:
@@ -34,6 +37,9 @@ class Tiles:
         self.length, self.width, self.spawn_x = terrain.tile_length, terrain.tile_width, terrain.spawn_x
         # Spreads the envs evenly over the columns, whatever their number.
         self.column = torch.arange(num_envs, device=device) * columns // num_envs
+        free = [column in terrain.omnidirectional for column in range(columns)]
+        self.has_omnidirectional, self.has_straight = any(free), not all(free)
+        self.omnidirectional = torch.tensor(free, device=device)[self.column]
         self.set_level(torch.zeros(num_envs, dtype=torch.int64, device=device))
 
     def set_level(self, level: Tensor) -> None:

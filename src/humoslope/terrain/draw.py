@@ -99,9 +99,10 @@ def _draw(
     top, bottom = parts[0], parts[1]
     profile = top.subplots()
     _draw_profiles(profile, x, y, tiles)
-    if drawn is None:
+    marked = drawn is None and not registry.find(name).omnidirectional  # robots start at one place
+    if marked:
         profile.axvline(SPAWN_X, color="#b03a2e", linewidth=1.0, linestyle=":", label="start")
-    else:
+    if drawn is not None:
         _name_segments(profile, drawn)
     profile.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), reverse=True)
 
@@ -112,7 +113,7 @@ def _draw(
     for axis, (grade, heights), local in zip(axes, tiles, grades, strict=False):
         rgb = colour.to_rgba(local)[..., :3] * _shade(heights, cell)[..., None]
         axis.imshow(np.clip(rgb, 0.0, 1.0).transpose(1, 0, 2), origin="lower", extent=extent, interpolation="nearest")
-        if drawn is None:
+        if marked:
             axis.plot(SPAWN_X, 0.0, "o", color="white", markeredgecolor=INK, markersize=5)
         axis.set_title(f"grade {grade:.1f}°", fontsize=9, color=INK, loc="left", pad=3)
     bottom.supxlabel("along the direction of travel, m", fontsize=9, color=INK)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -42,6 +42,8 @@ class Terrain:
         tile_length: Extent of a tile along x, m.
         tile_width: Extent of a tile along y, m.
         spawn_x: Distance of a robot's start from the start of its tile, m.
+        omnidirectional: Columns of tiles that robots walk in any direction from any place; the others are walked from
+            their start along x.
     """
 
     heights: NDArray[np.float32]
@@ -53,6 +55,7 @@ class Terrain:
     tile_length: float
     tile_width: float
     spawn_x: float = SPAWN_X
+    omnidirectional: frozenset[int] = frozenset()
 
     @property
     def is_flat(self) -> bool:
@@ -111,7 +114,9 @@ class TerrainGridCfg:
         self._check()
         kinds = [registry.find(name) for name in self._column_names()]
         difficulties = [level / max(self.levels - 1, 1) for level in range(self.levels)]
-        return _lay_out(self, [[Tile(kind, kind.grade_at(d)) for kind in kinds] for d in difficulties])
+        terrain = _lay_out(self, [[Tile(kind, kind.grade_at(d)) for kind in kinds] for d in difficulties])
+        omnidirectional = frozenset(column for column, kind in enumerate(kinds) if kind.omnidirectional)
+        return replace(terrain, omnidirectional=omnidirectional)
 
     def _check(self) -> None:
         for field in ("levels", "num_columns"):
@@ -148,6 +153,8 @@ class Tile(NamedTuple):
 @dataclass(frozen=True)
 class TileRowCfg:
     """Configuration of a terrain for measurements: tiles side by side, each with its own grade.
+
+    Whatever its kind, a tile is walked from its start along x.
 
     Attributes:
         tiles: One tile for each column of the only level; its terrain need not be registered.

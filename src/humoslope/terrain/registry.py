@@ -28,12 +28,15 @@ class Kind:
         function: `(x, y, grade, rng) -> height`; x, y and height are [nx, ny] in metres, x from the start of the tile
             along the direction of travel, y from its centre line to the left, grade in degrees.
         training: True if training may use it; the ground of an evaluation must be new to the policies.
+        omnidirectional: True if training robots start anywhere on its tiles and walk in any direction; False if they
+            start at the start of a tile and walk along x.
     """
 
     name: str
     grade: tuple[float, float]
     function: HeightFunction
     training: bool = True
+    omnidirectional: bool = False
 
     def grade_at(self, difficulty: float) -> float:
         """Grade in degrees at a difficulty in [0, 1]."""
@@ -72,13 +75,16 @@ class Kind:
         return heights
 
 
-def terrain(name: str, grade: tuple[float, float], *, training: bool = True) -> Callable[[_F], _F]:
+def terrain(
+    name: str, grade: tuple[float, float], *, training: bool = True, omnidirectional: bool = False
+) -> Callable[[_F], _F]:
     """Registers a height function under a name.
 
     Args:
         name: Name in a `TerrainGridCfg` and on the command line.
         grade: Grades at difficulty 0 and at difficulty 1, degrees.
         training: True if a `TerrainGridCfg` may hold it.
+        omnidirectional: True if robots start anywhere on its tiles and walk in any direction.
 
     Returns:
         Decorator that returns the function unchanged.
@@ -97,7 +103,7 @@ def terrain(name: str, grade: tuple[float, float], *, training: bool = True) -> 
                 f"terrain '{name}' is registered twice, by {_where(taken)} and {_where(function)}; "
                 "give one of them another name."
             )
-        _REGISTRY[name] = Kind(name, (float(low), float(high)), function, training)
+        _REGISTRY[name] = Kind(name, (float(low), float(high)), function, training, omnidirectional)
         return function
 
     return register

@@ -6,7 +6,7 @@ The conditions are those of the ramp check: planar ramps of fixed friction, no n
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -47,6 +47,12 @@ class SwingProtocol(RampProtocol):
     grades: tuple[float, ...] = tuple(2.5 * i for i in range(-12, 13))
     starts: int = 32
     seconds: float = 15.0
+    # The law is that of straight walks.
+    lateral: float = field(default=0.0, init=False)
+    yaw_rate: float = field(default=0.0, init=False)
+    across: bool = field(default=False, init=False)
+    push: float = field(default=0.0, init=False)
+    push_every: float = field(default=5.0, init=False)
     hip: str = HIP_PITCH
     swing_force: float = SWING_FORCE
     swing_settle: float = SWING_SETTLE
