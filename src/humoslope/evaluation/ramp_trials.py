@@ -32,6 +32,7 @@ class Trials:
         creep: [N, 2] mean |velocity| along the ground, forward and to the left, m/s.
         drift: [N, 2] horizontal displacement between settling and the last place, along and across the tile, m.
         touchdowns: [N] landings of a foot, per second.
+        self_contact: [N] share of the time in which two parts of the robot press on each other.
     """
 
     fell: Bools
@@ -46,6 +47,7 @@ class Trials:
     creep: Array
     drift: Array
     touchdowns: Array
+    self_contact: Array
 
     def __len__(self) -> int:
         return len(self.fell)
@@ -83,12 +85,20 @@ class Recorder:
         self._air = torch.zeros_like(place)  # [N, 2] control steps that each foot has been in the air
         # Sums are double: a thousand steps of single precision would show in the fourth digit.
         self._samples = torch.zeros_like(self._steps, dtype=torch.float64)
-        self._speed, self._error, self._height, self._landings = (torch.zeros_like(self._samples) for _ in range(4))
+        self._speed, self._error, self._height = (torch.zeros_like(self._samples) for _ in range(3))
+        self._landings, self._touching = torch.zeros_like(self._samples), torch.zeros_like(self._samples)
         self._creep = torch.zeros_like(place, dtype=torch.float64)
         self._step = 0
 
     def add(
-        self, place: Tensor, velocity: Tensor, height: Tensor, contact: Tensor, failed: Tensor, ended: Tensor
+        self,
+        place: Tensor,
+        velocity: Tensor,
+        height: Tensor,
+        contact: Tensor,
+        self_contact: Tensor,
+        failed: Tensor,
+        ended: Tensor,
     ) -> None:
         """Adds one control step.
 
@@ -99,6 +109,7 @@ class Recorder:
             velocity: [N, 2] along the ground, forward and to the left, m/s.
             height: [N] root above the ground, m.
             contact: [N, 2] bool; feet that touch the ground.
+            self_contact: [N] bool; two parts of the robot press on each other.
             failed: [N] bool; the episode ended in failure.
             ended: [N] bool; it ended otherwise.
         """
@@ -121,6 +132,7 @@ class Recorder:
         self._height = self._height + torch.where(self._running, height, 0.0)
         self._creep = self._creep + torch.where(running, velocity.abs(), 0.0)
         self._landings = self._landings + (landed & running).sum(dim=1)
+        self._touching = self._touching + (self_contact & self._running)
 
     def trials(self) -> Trials:
         """The record so far. Waits for the device."""
@@ -139,4 +151,5 @@ class Recorder:
             creep=to_host(self._creep / samples[:, None]),
             drift=to_host((self._end - self._settled).double().masked_fill(nothing, torch.nan)),
             touchdowns=to_host(self._landings / (samples * self._dt)),
+            self_contact=to_host(self._touching / samples),
         )

@@ -25,6 +25,7 @@ from humoslope.evaluation.common import measuring_physics, policy_observations, 
 from humoslope.evaluation.ramp_trials import Recorder, Trials
 from humoslope.managers import EventTermCfg, TerminationTermCfg, Terms
 from humoslope.mdp import events, terminations
+from humoslope.scene.signals import CONTACT_FORCE
 from humoslope.statistics import Array, Proportion, mean, proportion
 from humoslope.terrain.grid import SPAWN_X, Tile, TileRowCfg
 from humoslope.terrain.registry import Kind
@@ -160,6 +161,7 @@ class RampResult:
         speed_error: Difference of a trial's mean speed from the commanded one, averaged over trials, m/s.
         speed_rms_error: Root mean square of the difference at each instant, m/s.
         root_height: Height of the root above the ground below it, m.
+        self_contact: Share of the time in which two parts of the robot press on each other, mean of the trials' shares.
         distance: Mean distance walked along the course on its surface, m.
         seconds: Mean duration of a trial, s.
         standing: Further figures if the robot was commanded to stand, else None.
@@ -173,6 +175,7 @@ class RampResult:
     speed_error: float | None
     speed_rms_error: float | None
     root_height: float | None
+    self_contact: float | None
     distance: float
     seconds: float
     standing: Standing | None = None
@@ -266,6 +269,7 @@ def run_trials(
             velocity=signals.root_lin_vel_t[:, :2],
             height=signals.root_height,
             contact=signals.foot_contact,
+            self_contact=signals.self_force > CONTACT_FORCE,
             failed=failed,
             ended=ended,
         )
@@ -290,6 +294,7 @@ def summarise(trials: Trials, protocol: RampProtocol) -> list[RampResult]:
                 speed_error=there.speed_error(protocol.speed),
                 speed_rms_error=there.rms_speed_error,
                 root_height=mean(there.height),
+                self_contact=mean(there.self_contact),
                 distance=float((last - first).mean()),
                 seconds=float(there.seconds.mean()),
                 standing=_standing(there, grade) if protocol.standing else None,
