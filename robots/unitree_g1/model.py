@@ -141,9 +141,9 @@ def make_solid_spec() -> mujoco.MjSpec:
     """Builds the robot of `make_spec` with parts that cannot pass through each other.
 
     Every collision shape meets every other one, except those of neighbours: two bodies of one limb, or a limb and the
-    trunk, that have no other shape between them. Their shapes overlap around the joints that connect them, whose limits
-    keep them apart. The one neighbour that is not excluded is the upper arm: its shape begins below the shoulder, and the
-    joint limits let it turn into the torso.
+    trunk, that have no other shape between them. Their shapes overlap around the joints that connect them, and the
+    limits of these joints keep them apart. Upper arm and torso are not excluded: they do not overlap, and the shoulder
+    can turn the arm into the torso.
 
     The shapes of `LIMB_SHAPES` close the gaps of the limbs. They do not meet the ground: thigh, forearm, hand and torso
     next to them do, and every shape over a height field costs time.
@@ -151,13 +151,12 @@ def make_solid_spec() -> mujoco.MjSpec:
     spec = make_spec()
     for side in SIDES:
         for name, (body, radius, fromto) in LIMB_SHAPES.items():
-            if side == "right":
-                fromto = tuple(-x if axis % 3 == 1 else x for axis, x in enumerate(fromto))
+            mirrored = [-x if side == "right" and i % 3 == 1 else x for i, x in enumerate(fromto)]
             spec.body(f"{side}_{body}").add_geom(
                 name=f"{side}_{name}",
                 type=mujoco.mjtGeom.mjGEOM_CAPSULE,
                 size=[radius, 0.0, 0.0],
-                fromto=fromto,
+                fromto=mirrored,
                 group=COLLISION_GROUP,
                 contype=0,
                 conaffinity=0,

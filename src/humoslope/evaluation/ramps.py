@@ -314,8 +314,8 @@ def _standing(trials: Trials, grade: float) -> Standing:
 
 
 FALLS = ("grade\n°", "\nfalls", "share\n%", "95 %\ninterval", "off\ncourse")
-WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 2}
-STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3}
+WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 2, "self\n%": 1}
+STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3, "self\n%": 1}
 """Columns of the table and their decimals."""
 
 
@@ -323,15 +323,16 @@ def table(results: Sequence[RampResult]) -> Table:
     """Figures as a table, from the steepest descent to the steepest ascent."""
     # Without padding a row fits into a terminal of 80 columns; a cut number is worse than a tight one.
     table = Table(title="Ramps", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
-    table.caption = "averages: from 2 s on, while the robot is up"
+    table.caption = "averages: from 2 s on, while the robot is up; self: share of that time in contact with itself"
     columns = STANDING if any(r.standing for r in results) else WALKING
     for column in (*FALLS, *columns):
         table.add_column(column, justify="right", no_wrap=True)
     for r in sorted(results, key=lambda r: r.grade):
+        touching = None if r.self_contact is None else 100.0 * r.self_contact
         if (s := r.standing) is not None:
-            figures = (s.creep_along, s.creep_across, s.drift, s.touchdowns_per_s, r.root_height)
+            figures = (s.creep_along, s.creep_across, s.drift, s.touchdowns_per_s, r.root_height, touching)
         else:
-            figures = (r.speed, r.speed_error, r.speed_rms_error, r.root_height, r.distance)
+            figures = (r.speed, r.speed_error, r.speed_rms_error, r.root_height, r.distance, touching)
         table.add_row(
             f"{r.grade:+g}" if r.grade else "0",
             f"{r.falls.count}/{r.falls.total}",
