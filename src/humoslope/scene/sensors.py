@@ -49,9 +49,8 @@ def add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
             _add_ground_force(spec, f"{signal}/{side}", mjtObj.mjOBJ_BODY, body)
     _add_ground_force(spec, "robot_force_w", mjtObj.mjOBJ_XBODY, robot.root_body)
     # A net force would be of no use: what two parts do to each other cancels.
-    _add_contact_force(
-        spec, "self_force", (mjtObj.mjOBJ_XBODY, robot.root_body), (mjtObj.mjOBJ_XBODY, robot.root_body), STRONGEST
-    )
+    whole = (mjtObj.mjOBJ_XBODY, robot.root_body)
+    _add_contact_force(spec, "self_force", whole, whole, STRONGEST)
 
 
 def _add_ground_force(spec: mujoco.MjSpec, name: str, objtype: mjtObj, body: str) -> None:

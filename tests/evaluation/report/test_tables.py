@@ -37,6 +37,15 @@ def results(tmp_path_factory) -> list[Result]:
     return read_results([str(folder)])
 
 
+def without_self_contact(result: Result) -> Result:
+    """The result as it was before the metric existed."""
+
+    def older(of):
+        return replace(of, summary={name: figure for name, figure in of.summary.items() if name != "self_contact"})
+
+    return replace(result, cells=tuple(map(older, result.cells)), grades=tuple(map(older, result.grades)))
+
+
 def titles(sheet: Sheet) -> list[str]:
     return [row.title for row in sheet.rows]
 
@@ -280,3 +289,17 @@ def test_every_table_can_be_written_in_every_form(results, paper):
         assert len(rows) == len(sheet.rows) == len(json.loads(sheet.to_json())["rows"])
         assert len(sheet.to_markdown().splitlines()) == 4 + len(sheet.rows) + 1 + len(sheet.notes)
         assert STAGE2 in screen(sheet)
+
+
+def test_a_column_of_self_contact_is_there_if_a_result_has_it_and_older_results_have_none_in_it(results, paper):
+    older = [without_self_contact(result) for result in results]
+    for build in (main_table, ablation_table, lambda results, paper: cells_table(results)):
+        assert not any(column.label == "self-contact" for column in build(older, paper).columns)
+        sheet = build([results[0], older[1]], paper)
+        places = [i for i, column in enumerate(sheet.columns) if column.label == "self-contact"]
+        assert places
+        name = results[0].name
+        for row in sheet.rows:
+            assert len(row.values) == len(sheet.columns)
+            known = row.source == "ours" and row.name == name
+            assert all((row.values[i] is not None) == known for i in places)
