@@ -160,7 +160,7 @@ def test_the_table_runs_from_the_steepest_way_down_to_the_steepest_way_up() -> N
         console.print(table(summarise(standing(6), SMALL)))
     rows = [line.split() for line in captured.get().splitlines() if "0/2" in line]
     assert [row[0] for row in rows] == ["-30", "0", "+25"]
-    assert rows[0][1:] == ["0/2", "0.0", "0.0-65.8", "0", "0.350", "0.150", "0.150", "0.770", rows[0][-2], "25.0"]
+    assert rows[0][1:] == ["0/2", "0.0", "0.0-65.8", "0", "0.350", "0.150", "0.150", "0.770", rows[0][-2], "25"]
 
 
 @pytest.mark.parametrize(

@@ -314,8 +314,8 @@ def _standing(trials: Trials, grade: float) -> Standing:
 
 
 FALLS = ("grade\n°", "\nfalls", "share\n%", "95 %\ninterval", "off\ncourse")
-WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 2, "self\n%": 1}
-STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3, "self\n%": 1}
+WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 1, "self\n%": 0}
+STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3, "self\n%": 0}
 """Columns of the table and their decimals."""
 
 
