@@ -160,7 +160,7 @@ def test_the_table_runs_from_the_steepest_way_down_to_the_steepest_way_up() -> N
         console.print(table(summarise(standing(6), SMALL)))
     rows = [line.split() for line in captured.get().splitlines() if "0/2" in line]
     assert [row[0] for row in rows] == ["-30", "0", "+25"]
-    assert rows[0][1:] == ["0/2", "0.0", "0.0-65.8", "0", "0.350", "0.150", "0.150", "0.770", rows[0][-2], "25"]
+    assert rows[0][1:] == ["0/2", "0.0", "0.0-65.8", "0", "0.350", "0.150", "0.150", "0.770", rows[0][-2], "25.0"]
 
 
 @pytest.mark.parametrize(
@@ -286,7 +286,7 @@ def test_the_table_of_standing_robots_has_their_figures() -> None:
     with console.capture() as captured:
         console.print(table(results))
     rows = [line.split() for line in captured.get().splitlines() if "0/2" in line]
-    assert rows[1][5:] == ["0.350", "0.050", "6.31", "2.50", "0.770"]
+    assert rows[1][5:] == ["0.350", "0.050", "6.31", "2.50", "0.770", "25.0"]
     assert "creep" in captured.get()
     assert "…" not in captured.get()
     assert all(result.standing is None for result in summarise(standing(6), SMALL))

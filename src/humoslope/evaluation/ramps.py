@@ -314,15 +314,15 @@ def _standing(trials: Trials, grade: float) -> Standing:
 
 
 FALLS = ("grade\n°", "\nfalls", "share\n%", "95 %\ninterval", "off\ncourse")
-WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 1, "self\n%": 0}
-STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3, "self\n%": 0}
+WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 2, "self\n%": 1}
+STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3, "self\n%": 1}
 """Columns of the table and their decimals."""
 
 
 def table(results: Sequence[RampResult]) -> Table:
     """Figures as a table, from the steepest descent to the steepest ascent."""
     # Without padding a row fits into a terminal of 80 columns; a cut number is worse than a tight one.
-    table = Table(title="Ramps", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
+    table = Table(title="Ramps", box=SIMPLE_HEAD, padding=0, pad_edge=False)
     table.caption = "averages: from 2 s on, while the robot is up; self: share of that time in contact with itself"
     columns = STANDING if any(r.standing for r in results) else WALKING
     for column in (*FALLS, *columns):

@@ -62,6 +62,7 @@ def read(make_env, **signals: torch.Tensor) -> StepSample:
     )
     default |= dict.fromkeys(("heading_w", "root_height", "com_height"), torch.zeros(1))
     default |= {"torso_quat_w": quat(Rotation.identity())}
+    default |= {"self_force": torch.zeros(1)}
     default |= dict.fromkeys(("joint_pos", "joint_vel", "joint_torque"), torch.zeros(1, 29))
     commands = SimpleNamespace(velocity=torch.zeros(1, 3))
     env = make_env(1, signals=SimpleNamespace(**default | signals), commands=commands)
