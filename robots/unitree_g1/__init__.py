@@ -1,5 +1,5 @@
 """Unitree G1, 29 actuated joints."""
 
-from .model import UNITREE_G1
+from .model import UNITREE_G1, UNITREE_G1_SOLID
 
-__all__ = ["UNITREE_G1"]
+__all__ = ["UNITREE_G1", "UNITREE_G1_SOLID"]

@@ -7,7 +7,7 @@ reflected motor inertia, gains, contact rules and the default pose.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -105,8 +105,17 @@ SITES = {
     "right_foot": ("right_ankle_roll_link", SOLE_CENTRE),
 }
 
+# Shapes that Unitree publishes and the URDF leaves out, since they only matter for contact of the robot with itself.
+# name without its side: (body without its side, radius, start and end of the axis in the body), m
+LIMB_SHAPES = {
+    "hip_collision": ("hip_roll_link", 0.06, (0.02, 0.0, 0.0, 0.02, 0.0, -0.08)),
+    "upper_arm_collision": ("shoulder_yaw_link", 0.035, (0.0, 0.0, -0.08, 0.0, 0.0, 0.05)),
+    "wrist_collision": ("wrist_pitch_link", 0.035, (-0.01, 0.0, 0.0, 0.06, 0.0, 0.0)),
+}
+
 FOOT_FRICTION = (0.8, 0.005, 0.0001)  # sliding; then torsional and rolling, which condim 3 leaves unused
 COLLISION_GROUP = 3
+GROUND_BIT, SELF_BIT = 1, 2
 VISUAL_GROUP = 2
 
 
@@ -126,6 +135,51 @@ def make_spec() -> mujoco.MjSpec:
     qpos = [0.0, 0.0, UNITREE_G1.default_root_height, 1.0, 0.0, 0.0, 0.0, *UNITREE_G1.default_joint_pos]
     spec.add_key(name="knees_bent", qpos=qpos, ctrl=UNITREE_G1.default_joint_pos)
     return spec
+
+
+def make_solid_spec() -> mujoco.MjSpec:
+    """Builds the robot of `make_spec` with parts that cannot pass through each other.
+
+    Every collision shape meets every other one, except those of neighbours: two bodies of one limb, or a limb and the
+    trunk, that have no other shape between them. Their shapes overlap around the joints that connect them, and the
+    limits of these joints keep them apart. Upper arm and torso are not excluded: they do not overlap, and the shoulder
+    can turn the arm into the torso.
+
+    The shapes of `LIMB_SHAPES` close the gaps of the limbs. They do not meet the ground: thigh, forearm, hand and torso
+    next to them do, and every shape over a height field costs time.
+    """
+    spec = make_spec()
+    for side in SIDES:
+        for name, (body, radius, fromto) in LIMB_SHAPES.items():
+            mirrored = [-x if side == "right" and i % 3 == 1 else x for i, x in enumerate(fromto)]
+            spec.body(f"{side}_{body}").add_geom(
+                name=f"{side}_{name}",
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                size=[radius, 0.0, 0.0],
+                fromto=mirrored,
+                group=COLLISION_GROUP,
+                contype=0,
+                conaffinity=0,
+                condim=1,
+            )
+    shapes = [geom for geom in spec.geoms if geom.group == COLLISION_GROUP]
+    for geom in shapes:
+        on_ground = geom.conaffinity & GROUND_BIT
+        geom.contype, geom.conaffinity = SELF_BIT, SELF_BIT | on_ground
+    solid = {geom.parent.name for geom in shapes}
+    for body in spec.bodies:
+        neighbour = _nearest_above(body, solid)
+        if body.name in solid and neighbour is not None and not body.name.endswith("shoulder_yaw_link"):
+            spec.add_exclude(bodyname1=neighbour, bodyname2=body.name)
+    return spec
+
+
+def _nearest_above(body: mujoco.MjsBody, names: set[str]) -> str | None:
+    """Name of the nearest ancestor of a body that is one of `names`; None if there is none."""
+    above = body.parent
+    while above is not None and above.name not in names:
+        above = above.parent
+    return None if above is None else above.name
 
 
 def _set_options(spec: mujoco.MjSpec) -> None:
@@ -201,3 +255,6 @@ UNITREE_G1 = Robot(
     effort_limit=tuple(drive.effort for drive in DRIVES.values()),
     total_mass=33.341142,
 )
+
+UNITREE_G1_SOLID = replace(UNITREE_G1, name="unitree_g1_solid", make_spec=make_solid_spec)
+"""The same robot with parts that cannot pass through each other."""

@@ -27,7 +27,8 @@ def sample(worlds: int, place: float | Tensor = 0.0, **values: float | Tensor) -
     """A sample of `worlds` worlds that all show these values; joints by name, such as left_knee_joint_torque."""
     place = torch.as_tensor(place, dtype=torch.float32).expand(worlds).contiguous()
     joints = {kind: torch.zeros(worlds, UNITREE_G1.num_joints) for kind in ("pos", "vel", "torque")}
-    plain = dict.fromkeys(("speed", "yaw_rate", "com_height", "root_height", "torso_pitch"), torch.zeros(worlds))
+    scalars = ("speed", "yaw_rate", "com_height", "root_height", "torso_pitch", "self_force")
+    plain = dict.fromkeys(scalars, torch.zeros(worlds))
     for name, value in values.items():
         spread = torch.as_tensor(value, dtype=torch.float32).expand(worlds)
         if name in plain:

@@ -23,21 +23,25 @@ def play(
     across: Tensor | None = None,
     contact: Tensor | None = None,
     turn: Tensor | None = None,
+    self_contact: Tensor | None = None,
 ) -> Trials:
     """Envs that start at x = 0.75 m and move with `speed` [T, N] m/s forward and `across` [T, N] m/s to the left; they
-    fall or leave in the given steps. `contact` [T, 2] of the feet; by default both stand."""
+    fall or leave in the given steps. `contact` [T, 2] of the feet; by default both stand.
+    `self_contact` [T, N]; none by default."""
     count = speed.shape[1]
     fall_step = torch.tensor(falls or [NEVER] * count)
     leave_step = torch.tensor(leaves or [NEVER] * count)
     velocity = torch.stack([speed, torch.zeros_like(speed) if across is None else across], dim=2)  # [T, N, 2]
     feet = torch.ones(len(speed), 2, dtype=torch.bool) if contact is None else contact
+    touching = torch.zeros_like(speed, dtype=torch.bool) if self_contact is None else self_contact
     place = torch.tensor([[0.75, 0.0]]).repeat(count, 1)
     recorder = Recorder(place, 0.5, settle, DT)
     height = torch.full((count,), 0.75)
     for step, now in enumerate(velocity, start=1):
         place = place + now * DT
         rate = torch.zeros(count) if turn is None else turn[step - 1]
-        recorder.add(place, now, rate, height, feet[step - 1].expand(count, 2), fall_step == step, leave_step == step)
+        soles, failed, left = feet[step - 1].expand(count, 2), fall_step == step, leave_step == step
+        recorder.add(place, now, rate, height, soles, touching[step - 1], failed, left)
     return recorder.trials()
 
 
@@ -166,3 +170,12 @@ def test_speed_to_the_left_and_yaw_rate_are_means_with_a_sign_from_settling_to_t
     assert trials.lateral == pytest.approx([0.2, -0.4])
     assert trials.yaw_rate == pytest.approx([0.6, -0.3])
     assert trials.measured_s == pytest.approx([60 * DT, 49 * DT])
+
+
+def test_self_contact_is_a_share_of_the_time_between_settling_and_the_end_of_a_trial() -> None:
+    touching = torch.zeros(100, 2, dtype=torch.bool)
+    touching[:60] = True
+    touching[80:, 1] = True
+    trials = play(torch.full((100, 2), 0.5), falls=[NEVER, 91], settle=50, self_contact=touching)
+    assert trials.self_contact == pytest.approx([10 / 50, 20 / 40])
+    assert np.isnan(play(torch.full((50, 1), 0.5), falls=[10], settle=20).self_contact).all()

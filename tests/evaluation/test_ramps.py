@@ -66,6 +66,7 @@ def standing(count: int, **changes: Any) -> Trials:
         "creep": np.tile([0.35, 0.05], (count, 1)),
         "drift": np.tile([6.3, 0.4], (count, 1)),
         "touchdowns": np.full(count, 2.5),
+        "self_contact": np.full(count, 0.25),
     }
     return Trials(**{**full, **changes})
 
@@ -134,6 +135,7 @@ def test_figures_belong_to_the_grade_they_were_measured_on() -> None:
     assert flat.speed_error == pytest.approx(0.15)
     assert flat.speed_rms_error == pytest.approx(0.15)
     assert flat.root_height == pytest.approx(0.77)
+    assert flat.self_contact == pytest.approx(0.25)
     assert flat.distance == pytest.approx(7.0)
     assert up.distance == pytest.approx(0.75 + 6.25 / math.cos(math.radians(25.0)))
 
@@ -163,7 +165,7 @@ def test_the_table_runs_from_the_steepest_way_down_to_the_steepest_way_up() -> N
         console.print(table(summarise(standing(6), SMALL)))
     rows = [line.split() for line in captured.get().splitlines() if "0/2" in line]
     assert [row[0] for row in rows] == ["-30", "0", "+25"]
-    assert rows[0][1:] == ["0/2", "0.0", "0.0-65.8", "0", "0.350", "0.150", "0.150", "0.770", rows[0][-1]]
+    assert rows[0][1:] == ["0/2", "0.0", "0.0-65.8", "0", "0.350", "0.150", "0.150", "0.770", rows[0][-2], "25.0"]
 
 
 @pytest.mark.parametrize(
@@ -296,7 +298,7 @@ def test_the_table_of_standing_robots_has_their_figures() -> None:
     with console.capture() as captured:
         console.print(table(results))
     rows = [line.split() for line in captured.get().splitlines() if "0/2" in line]
-    assert rows[1][5:] == ["0.350", "0.050", "6.31", "2.50", "0.770"]
+    assert rows[1][5:] == ["0.350", "0.050", "6.31", "2.50", "0.770", "25.0"]
     assert "creep" in captured.get()
     assert "…" not in captured.get()
     assert all(result.standing is None for result in summarise(standing(6), SMALL))

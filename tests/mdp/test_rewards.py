@@ -231,6 +231,14 @@ def test_ground_force_that_no_foot_carries_is_a_body_contact(make_env, pose, gro
     assert rewards.body_contact(make_env(1, signals=posed.signals), force=1.0).item() == touches
 
 
+@pytest.mark.parametrize(
+    ("force", "touches"), [([0.0, 0.0, 0.0], 0.0), ([9.0, 0.0, 0.0], 0.0), ([8.0, -6.1, 0.0], 1.0)]
+)
+def test_the_robot_touches_itself_when_its_strongest_contact_exceeds_the_threshold(pose, make_env, force, touches):
+    posed = pose(self_force=force)
+    assert rewards.self_contact(make_env(1, signals=posed.signals), force=10.0).item() == touches
+
+
 def test_being_alive_earns_and_only_a_failure_is_a_fall(make_env):
     env = make_env(2, terminations=SimpleNamespace(terminated=torch.tensor([True, False])))
     assert rewards.alive(env).tolist() == [1.0, 1.0]

@@ -45,3 +45,13 @@ def test_a_segment_is_come_to_once_between_falls(altered: Callable[..., Rollout]
     found = events.segments(columns, 5.0, ["start", "up", "flat"], [1.0, 2.0, 3.0])
     assert [event.text for event in found] == ["start", "up", "flat", "start"]
     assert found[1].time < found[2].time < found[3].time == np.float32(3.02)
+
+
+def test_a_contact_with_itself_is_an_event_with_its_largest_force_and_short_gaps_do_not_part_it(
+    altered: Callable[..., Rollout],
+) -> None:
+    force = stretches((50, 0.0), (10, 20.0), (10, 0.5), (5, 80.0), (60, 0.0), (1, 3.0), (64, 0.0)).astype(np.float32)
+    found = events.touches(altered(self_force=force).columns, DT)
+    assert [event.text for event in found] == ["touches itself, 80 N", "touches itself, 3 N"]
+    np.testing.assert_allclose([event.time for event in found], [1.02, 2.72], atol=1e-5)
+    assert events.touches(altered(self_force=np.full(ROWS, np.nan, np.float32)).columns, DT) == []

@@ -249,6 +249,17 @@ def test_whatever_stands_in_a_header_it_is_drawn_or_refused_in_one_sentence(
     assert "\n" not in said
 
 
+def test_a_file_from_before_contact_of_the_robot_with_itself_was_recorded_is_read(
+    rollout: Rollout, tmp_path: Path
+) -> None:
+    rollout.save(path := tmp_path / "older.npz")
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files if name != "self_force"}
+    np.savez_compressed(path, **arrays)
+    assert np.isnan(load_rollout(path).columns.self_force).all()
+    assert np.isfinite(rollout.columns.self_force).all()
+
+
 def test_what_a_later_recording_adds_is_ignored(rollout: Rollout, tmp_path: Path) -> None:
     path = rewritten(rollout, tmp_path / "walk.npz", header={"weather": "fine"}, temperature=np.zeros(3))
     assert len(load_rollout(path).columns) == len(rollout.columns)

@@ -8,7 +8,10 @@ import mujoco
 import numpy as np
 import torch
 
+from humoslope.scene.sensors import add_contact_sensors, add_robot_sensors
 from humoslope.sim import Simulation, make_simulation
+from humoslope.terrain.mjcf import TERRAIN_GEOM
+from robots.unitree_g1 import UNITREE_G1_SOLID
 
 CONTROL_STEPS, DECIMATION = 20, 4  # 0.4 s: a drop, the impact, and the legs swinging under load
 
@@ -66,3 +69,29 @@ def compare(model: mujoco.MjModel, qpos: torch.Tensor, base_bound: float, joint_
 def reset(simulation: Simulation, qpos: torch.Tensor) -> None:
     mask = torch.ones(len(qpos), dtype=torch.bool)
     simulation.reset(mask, qpos, torch.zeros(len(qpos), simulation.model.nv))
+
+
+def test_the_backends_feel_the_same_strongest_contact_of_the_robot_with_itself() -> None:
+    """Arms pressed into the trunk at several depths, on the ground; the last robot touches nothing but the ground."""
+    spec = UNITREE_G1_SOLID.make_spec()
+    add_robot_sensors(spec, UNITREE_G1_SOLID)
+    spec.worldbody.add_geom(name=TERRAIN_GEOM, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+    add_contact_sensors(spec, UNITREE_G1_SOLID)
+    model = spec.compile()
+    qpos = torch.tensor(model.key_qpos[0]).repeat(4, 1)
+    qpos[:, 2] -= 0.005
+    inward = torch.tensor([0.35, 0.45, 0.55, 0.0])
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        roll = 7 + UNITREE_G1_SOLID.joint_names.index(f"{side}_shoulder_roll_joint")
+        qpos[:3, roll] = sign * (inward[:3] - 0.1 * (side == "right"))
+    sensor = model.sensor("self_force")
+    forces = []
+    for backend in ("native", "warp"):
+        simulation = make_simulation(model, len(qpos), backend, "cpu", num_threads=1)
+        data = simulation.read("sensordata")
+        reset(simulation, qpos)
+        forces.append(data[:, sensor.adr[0] : sensor.adr[0] + 3].norm(dim=1))
+        assert simulation.warnings() == []
+    assert (forces[0][:3] > 10.0).all()
+    assert forces[0][3] == forces[1][3] == 0.0
+    torch.testing.assert_close(forces[0], forces[1], rtol=0.02, atol=0.1)

@@ -35,6 +35,7 @@ class Trials:
         creep: [N, 2] mean |velocity| along the ground, forward and to the left, m/s.
         drift: [N, 2] horizontal displacement between settling and the last place, along and across the tile, m.
         touchdowns: [N] landings of a foot, per second.
+        self_contact: [N] share of the time in which two parts of the robot press on each other.
     """
 
     fell: Bools
@@ -52,6 +53,7 @@ class Trials:
     creep: Array
     drift: Array
     touchdowns: Array
+    self_contact: Array
 
     def __len__(self) -> int:
         return len(self.fell)
@@ -90,7 +92,8 @@ class Recorder:
         # Sums are double: a thousand steps of single precision would show in the fourth digit.
         self._samples = torch.zeros_like(self._steps, dtype=torch.float64)
         self._speed, self._lateral, self._yaw_rate = (torch.zeros_like(self._samples) for _ in range(3))
-        self._error, self._height, self._landings = (torch.zeros_like(self._samples) for _ in range(3))
+        self._error, self._height = torch.zeros_like(self._samples), torch.zeros_like(self._samples)
+        self._landings, self._touching = torch.zeros_like(self._samples), torch.zeros_like(self._samples)
         self._creep = torch.zeros_like(place, dtype=torch.float64)
         self._step = 0
 
@@ -101,6 +104,7 @@ class Recorder:
         yaw_rate: Tensor,
         height: Tensor,
         contact: Tensor,
+        self_contact: Tensor,
         failed: Tensor,
         ended: Tensor,
     ) -> None:
@@ -114,6 +118,7 @@ class Recorder:
             yaw_rate: [N] of the root about the vertical, rad/s.
             height: [N] root above the ground, m.
             contact: [N, 2] bool; feet that touch the ground.
+            self_contact: [N] bool; two parts of the robot press on each other.
             failed: [N] bool; the episode ended in failure.
             ended: [N] bool; it ended otherwise.
         """
@@ -138,6 +143,7 @@ class Recorder:
         self._height = self._height + torch.where(self._running, height, 0.0)
         self._creep = self._creep + torch.where(running, velocity.abs(), 0.0)
         self._landings = self._landings + (landed & running).sum(dim=1)
+        self._touching = self._touching + (self_contact & self._running)
 
     def trials(self) -> Trials:
         """The record so far. Waits for the device."""
@@ -159,4 +165,5 @@ class Recorder:
             creep=to_host(self._creep / samples[:, None]),
             drift=to_host((self._end - self._settled).double().masked_fill(nothing, torch.nan)),
             touchdowns=to_host(self._landings / (samples * self._dt)),
+            self_contact=to_host(self._touching / samples),
         )

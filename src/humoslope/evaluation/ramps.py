@@ -26,6 +26,7 @@ from humoslope.evaluation.common import measuring_physics, policy_observations, 
 from humoslope.evaluation.ramp_trials import Recorder, Trials
 from humoslope.managers import EventTermCfg, TerminationTermCfg, Terms
 from humoslope.mdp import events, terminations
+from humoslope.scene.signals import CONTACT_FORCE
 from humoslope.statistics import Array, Proportion, mean, proportion
 from humoslope.terrain.grid import SPAWN_X, Tile, TileRowCfg
 from humoslope.terrain.registry import Kind
@@ -226,6 +227,7 @@ class RampResult:
         speed_error: Difference of a trial's mean speed from the commanded one, averaged over trials, m/s.
         speed_rms_error: Root mean square of the difference at each instant, m/s.
         root_height: Height of the root above the ground below it, m.
+        self_contact: Share of the time in which two parts of the robot press on each other, mean of the trials' shares.
         distance: Mean distance walked along the course on its surface, m.
         seconds: Mean duration of a trial, s.
         standing: Further figures if the robot was commanded to stand, else None.
@@ -240,6 +242,7 @@ class RampResult:
     speed_error: float | None
     speed_rms_error: float | None
     root_height: float | None
+    self_contact: float | None
     distance: float
     seconds: float
     standing: Standing | None = None
@@ -349,6 +352,7 @@ def run_trials(
             yaw_rate=-(signals.projected_gravity_b * signals.root_ang_vel_b).sum(dim=1),
             height=signals.root_height,
             contact=signals.foot_contact,
+            self_contact=signals.self_force > CONTACT_FORCE,
             failed=failed,
             ended=ended,
         )
@@ -374,6 +378,7 @@ def summarise(trials: Trials, protocol: RampProtocol) -> list[RampResult]:
                 speed_error=there.speed_error(protocol.speed),
                 speed_rms_error=there.rms_speed_error,
                 root_height=mean(there.height),
+                self_contact=mean(there.self_contact),
                 distance=float((last - first).mean()),
                 seconds=float(there.seconds.mean()),
                 standing=_standing(there, grade, protocol.across) if protocol.standing else None,
@@ -412,30 +417,31 @@ def _slip(trials: Trials, grade: float) -> Array:
 
 
 FALLS = ("grade\n°", "\nfalls", "share\n%", "95 %\ninterval", "off\ncourse")
-WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 2}
-STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3}
-MANOEUVRE = {"ahead\nm/s": 3, "left\nm/s": 3, "off\nm/s": 3, "turn\nrad/s": 3, "off\nrad/s": 3}
-ACROSS_SLOPE = {"ahead\nm/s": 3, "left\nm/s": 3, "off\nm/s": 3, "slip\nm/s": 3, "height\nm": 3}
+WALKING = {"speed\nm/s": 3, "error\nm/s": 3, "RMS\nm/s": 3, "height\nm": 3, "way\nm": 2, "self\n%": 1}
+STANDING = {"creep\nm/s": 3, "across\nm/s": 3, "drift\nm": 2, "steps\n1/s": 2, "height\nm": 3, "self\n%": 1}
+MANOEUVRE = {"ahead\nm/s": 3, "left\nm/s": 3, "off\nm/s": 3, "turn\nrad/s": 3, "off\nrad/s": 3, "self\n%": 1}
+ACROSS_SLOPE = {"ahead\nm/s": 3, "left\nm/s": 3, "off\nm/s": 3, "slip\nm/s": 3, "height\nm": 3, "self\n%": 1}
 """Columns of the table and their decimals."""
 
 
 def table(results: Sequence[RampResult]) -> Table:
     """Figures as a table, from the steepest descent to the steepest ascent."""
     # Without padding a row fits into a terminal of 80 columns; a cut number is worse than a tight one.
-    table = Table(title="Ramps", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
-    table.caption = "averages: from 2 s on, while the robot is up"
+    table = Table(title="Ramps", box=SIMPLE_HEAD, padding=0, pad_edge=False)
+    table.caption = "averages: from 2 s on, while the robot is up; self: share of that time in contact with itself"
     columns = _columns(results)
     for column in (*FALLS, *columns):
         table.add_column(column, justify="right", no_wrap=True)
     for r in sorted(results, key=lambda r: r.grade):
+        touching = None if r.self_contact is None else 100.0 * r.self_contact
         if (s := r.standing) is not None:
-            figures = (s.creep_along, s.creep_across, s.drift, s.touchdowns_per_s, r.root_height)
+            figures = (s.creep_along, s.creep_across, s.drift, s.touchdowns_per_s, r.root_height, touching)
         elif (m := r.manoeuvre) is None:
-            figures = (r.speed, r.speed_error, r.speed_rms_error, r.root_height, r.distance)
+            figures = (r.speed, r.speed_error, r.speed_rms_error, r.root_height, r.distance, touching)
         elif columns is ACROSS_SLOPE:
-            figures = (r.speed, m.lateral_speed, m.velocity_error, m.slip, r.root_height)
+            figures = (r.speed, m.lateral_speed, m.velocity_error, m.slip, r.root_height, touching)
         else:
-            figures = (r.speed, m.lateral_speed, m.velocity_error, m.yaw_rate, m.yaw_rate_error)
+            figures = (r.speed, m.lateral_speed, m.velocity_error, m.yaw_rate, m.yaw_rate_error, touching)
         table.add_row(
             f"{r.grade:+g}" if r.grade else "0",
             f"{r.falls.count}/{r.falls.total}",

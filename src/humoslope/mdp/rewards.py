@@ -162,6 +162,15 @@ def body_contact(env: Env, force: NotNegative) -> Tensor:
     return (env.signals.body_force > force).to(torch.float32)
 
 
+def self_contact(env: Env, force: NotNegative) -> Tensor:
+    """1 where two parts of the robot press on each other, else 0.
+
+    Args:
+        force: Force that the strongest contact must exceed to count, N.
+    """
+    return (env.signals.self_force > force).to(torch.float32)
+
+
 class SingleStance(StatefulTerm):
     """Reward for time on one leg, so that the robot steps without a prescribed clock.
 

@@ -1,4 +1,5 @@
-"""Events of a recorded walk, derived from its columns: falls, pushes, and changes of the ground."""
+"""Events of a recorded walk, derived from its columns: falls, pushes, contacts of the robot with itself, and changes of
+the ground."""
 
 from __future__ import annotations
 
@@ -10,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humoslope.replay.rollout import Columns, Event
+from humoslope.scene.signals import CONTACT_FORCE
 
 SETTLED = 0.3
-"""Shortest time for which a change of the ground counts, s; anything shorter is a bump."""
+"""Shortest time for which a change of the ground counts, s; anything shorter is a bump. Also the shortest time between
+two separate contacts of the robot with itself."""
 
 GROUND = ("level ground", "slope up", "slope down")
 
@@ -37,6 +40,21 @@ def pushes(changes: Sequence[tuple[float, float, float]]) -> list[Event]:
     return [
         Event(time, "push", f"push of {math.hypot(x, y):.2f} m/s towards {math.degrees(math.atan2(y, x)):.0f}°")
         for time, x, y in changes
+    ]
+
+
+def touches(columns: Columns, dt: float) -> list[Event]:
+    """Returns an event for each contact of the robot with itself, with its largest force.
+
+    Contacts less than `SETTLED` apart are one.
+    """
+    touching = columns.self_force > CONTACT_FORCE  # False where it is NaN
+    rows = np.flatnonzero(touching)
+    breaks = np.flatnonzero(np.diff(rows) * dt > SETTLED) + 1
+    return [
+        Event(float(columns.time[part[0]]), "touch", f"touches itself, {columns.self_force[part].max():.0f} N")
+        for part in np.split(rows, breaks)
+        if len(part)
     ]
 
 

@@ -201,6 +201,7 @@ def _events(
     else:
         happened += events.grounds(columns, env.step_dt)
     happened += events.pushes(recorder.pushes)
+    happened += events.touches(columns, env.step_dt)
     if recorder.ended:
         happened.append(Event(float(columns.time[-1]), "end", "end of the ground"))
     return tuple(sorted(happened))

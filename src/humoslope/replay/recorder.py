@@ -31,6 +31,7 @@ SIGNALS = (
     "com_height",
     "foot_pos_w",
     "foot_force_w",
+    "self_force",
 )
 """Columns that are copies of the signal of the same name."""
 

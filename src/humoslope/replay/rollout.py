@@ -21,7 +21,7 @@ header:
     reward_terms            names of the columns of `reward`
     terrain                 name, grade (degrees), cell, origin [x, y of heights[0, 0]], tile_origin, tile_length,
                             tile_width
-    events                  list of {time, kind, text}; kinds are fall, push, ground and end
+    events                  list of {time, kind, text}; kinds are fall, push, touch, ground and end
 """
 
 from __future__ import annotations
@@ -80,6 +80,7 @@ class Columns:
         com_height_target: [T] target of the task for that height; NaN if it has none.
         foot_pos_w: [T, 2, 3] centres of the left and the right sole.
         foot_force_w: [T, 2, 3] force of the ground on the left and the right foot.
+        self_force: [T] largest force between two parts of the robot; NaN in files that were recorded without it.
         reward: [T, R] weighted reward of each term, per second.
         slope: [T] slope of the ground around the robot, positive where it rises ahead.
         bank: [T] bank of the ground around the robot, positive where it rises to the left.
@@ -111,6 +112,7 @@ class Columns:
     com_height_target: Array
     foot_pos_w: Array
     foot_force_w: Array
+    self_force: Array
     reward: Array
     slope: Array
     bank: Array
@@ -126,7 +128,7 @@ class Columns:
         return len(self.time)
 
 
-SCALARS = ("time", "root_height", "com_height", "com_height_target", "slope", "bank")
+SCALARS = ("time", "root_height", "com_height", "com_height_target", "self_force", "slope", "bank")
 MASKS = ("uphill", "downhill", "zmp_valid")
 WIDTHS: dict[str, tuple[int | str, ...]] = {
     **{field.name: (3,) for field in fields(Columns)},
@@ -137,6 +139,8 @@ WIDTHS: dict[str, tuple[int | str, ...]] = {
     "reward": ("R",),
 }
 """Shape of one row of each column; J joints, R reward terms."""
+ABSENT = ("com_height_target", "self_force")
+"""Columns that may be NaN: of a task that lacks the quantity, or from before it was recorded."""
 TEXT, TEXTS = "a text", "a list of texts, all different"
 NUMBER, NUMBERS, POSITIVE, COUNT = "a number", "a list of numbers", "a positive number", "a whole number"
 HEADER = {
@@ -293,6 +297,7 @@ def _check_arrays(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> tu
     rows = len(np.atleast_1d(arrays.get("time", ())))
     if rows == 0:
         raise UserError("holds no time steps; record it anew.")
+    arrays.setdefault("self_force", np.full(rows, np.nan, np.float32))  # not recorded until November 2026
     columns: dict[str, NDArray[Any]] = {}
     for name, width in WIDTHS.items():
         shape = (rows, *(sizes[n] if isinstance(n, str) else n for n in width))
@@ -323,7 +328,7 @@ def _numbers(name: str, values: NDArray[Any]) -> NDArray[Any]:
     with np.errstate(over="ignore"):
         typed: NDArray[Any] = values.astype(kind)
     if kind is np.float32:
-        absent = np.isnan(typed) & (name == "com_height_target")
+        absent = np.isnan(typed) & (name in ABSENT)
         bad = np.argwhere(~(np.abs(typed) <= LARGEST) & ~absent)
         if len(bad):
             raise _broken(f"'{name}' in row {bad[0][0]}", typed[tuple(bad[0])], "finite")

@@ -9,6 +9,9 @@ from humoslope.scene.robot import Robot
 from humoslope.terrain.mjcf import TERRAIN_GEOM
 
 SIDES = ("left", "right")
+STRONGEST, NET = 2, 3
+"""Reductions of a contact sensor: the contact with the largest force, in its own frame; the sum of all contacts, in the
+world frame."""
 
 
 def add_robot_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -39,24 +42,34 @@ def add_robot_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Adds sensors of the net ground force on each foot, each shin and the whole robot, in the world frame.
-    The terrain geom must be in the spec."""
+    """Adds sensors of the net ground force on each foot, each shin and the whole robot, in the world frame, and of the
+    strongest contact between two parts of the robot. The terrain geom must be in the spec."""
     for signal, bodies in (("foot_force_w", robot.foot_bodies), ("shin_force_w", robot.shin_bodies)):
         for side, body in zip(SIDES, bodies, strict=True):
             _add_ground_force(spec, f"{signal}/{side}", mjtObj.mjOBJ_BODY, body)
     _add_ground_force(spec, "robot_force_w", mjtObj.mjOBJ_XBODY, robot.root_body)
+    # A net force would be of no use: what two parts do to each other cancels.
+    whole = (mjtObj.mjOBJ_XBODY, robot.root_body)
+    _add_contact_force(spec, "self_force", whole, whole, STRONGEST)
 
 
 def _add_ground_force(spec: mujoco.MjSpec, name: str, objtype: mjtObj, body: str) -> None:
-    # intprm: data bits, reduction (3 = net force, world frame), slots. MuJoCo gives the force of the first object
-    # on the second, so the ground comes first. As a reference, an XBODY stands for the body's whole subtree.
+    # MuJoCo gives the force of the first object on the second, so the ground comes first.
+    _add_contact_force(spec, name, (mjtObj.mjOBJ_GEOM, TERRAIN_GEOM), (objtype, body), NET)
+
+
+def _add_contact_force(
+    spec: mujoco.MjSpec, name: str, first: tuple[mjtObj, str], second: tuple[mjtObj, str], reduction: int
+) -> None:
+    """Adds a sensor of the force in contacts of two objects; an XBODY stands for the body's whole subtree."""
+    # intprm: data bits, reduction, slots.
     force_bit = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     spec.add_sensor(
         name=name,
         type=mjtSensor.mjSENS_CONTACT,
-        objtype=mjtObj.mjOBJ_GEOM,
-        objname=TERRAIN_GEOM,
-        reftype=objtype,
-        refname=body,
-        intprm=[force_bit, 3, 1],
+        objtype=first[0],
+        objname=first[1],
+        reftype=second[0],
+        refname=second[1],
+        intprm=[force_bit, reduction, 1],
     )

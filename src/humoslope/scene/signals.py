@@ -102,6 +102,7 @@ class Signals:
         self.foot_contact = self.foot_force > CONTACT_FORCE
         self._robot_force_w = data[:, take["robot_force_w"]]
         self._shin_force_w = feet("shin_force_w")
+        self._self_force = data[:, take["self_force"]]  # [N, 3] in the frame of the contact
 
         rotation = quaternion.matrix(self.root_quat_w)  # [N, 3, 3]
         self.projected_gravity_b = -rotation[:, 2]
@@ -145,6 +146,12 @@ class Signals:
     def upper_force(self) -> Tensor:
         """[N] ground force on everything but feet and shins, N."""
         return (self._body_force_w - self._shin_force_w.sum(dim=1)).norm(dim=1)
+
+    @cached_property
+    def self_force(self) -> Tensor:
+        """[N] largest force between two parts of the robot, N. Parts that the robot's model lets pass through each
+        other have none."""
+        return self._self_force.norm(dim=1)
 
     def along_ground(self, v: Tensor) -> Tensor:
         """Returns vectors `v` [N, 3] of the world frame in the slope frame of the robot's heading:

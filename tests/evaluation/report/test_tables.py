@@ -29,12 +29,27 @@ def paper() -> Paper:
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory) -> list[Result]:
+def newer(tmp_path_factory) -> list[Result]:
     folder = tmp_path_factory.mktemp("results")
     write(folder, "a", report(0.9, STAGE2))
     write(folder, "b", sweep(33.0, STAGE2))
     write(folder, "c", report(0.2, URL, finished=40))
     return read_results([str(folder)])
+
+
+@pytest.fixture(scope="module")
+def results(newer) -> list[Result]:
+    """Results from before contact of the robot with itself was measured, as the shipped ones are."""
+    return [without_self_contact(result) for result in newer]
+
+
+def without_self_contact(result: Result) -> Result:
+    """The result as it was before the metric existed."""
+
+    def older(of):
+        return replace(of, summary={name: figure for name, figure in of.summary.items() if name != "self_contact"})
+
+    return replace(result, cells=tuple(map(older, result.cells)), grades=tuple(map(older, result.grades)))
 
 
 def titles(sheet: Sheet) -> list[str]:
@@ -280,3 +295,16 @@ def test_every_table_can_be_written_in_every_form(results, paper):
         assert len(rows) == len(sheet.rows) == len(json.loads(sheet.to_json())["rows"])
         assert len(sheet.to_markdown().splitlines()) == 4 + len(sheet.rows) + 1 + len(sheet.notes)
         assert STAGE2 in screen(sheet)
+
+
+def test_a_column_of_self_contact_is_there_if_a_result_has_it_and_older_results_have_none_in_it(newer, results, paper):
+    for build in (main_table, ablation_table, lambda results, paper: cells_table(results)):
+        assert not any(column.label == "self-contact" for column in build(results, paper).columns)
+        sheet = build([newer[0], results[1]], paper)
+        places = [i for i, column in enumerate(sheet.columns) if column.label == "self-contact"]
+        assert places
+        name = newer[0].name
+        for row in sheet.rows:
+            assert len(row.values) == len(sheet.columns)
+            known = row.source == "ours" and row.name == name
+            assert all((row.values[i] is not None) == known for i in places)

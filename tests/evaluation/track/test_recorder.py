@@ -62,6 +62,7 @@ def read(make_env, **signals: torch.Tensor) -> StepSample:
     )
     default |= dict.fromkeys(("heading_w", "root_height", "com_height"), torch.zeros(1))
     default |= {"torso_quat_w": quat(Rotation.identity())}
+    default |= {"self_force": torch.zeros(1)}
     default |= dict.fromkeys(("joint_pos", "joint_vel", "joint_torque"), torch.zeros(1, 29))
     commands = SimpleNamespace(velocity=torch.zeros(1, 3))
     env = make_env(1, signals=SimpleNamespace(**default | signals), commands=commands)
@@ -293,6 +294,7 @@ PINNED = {
         "com_height": 0.66,
         "root_height": 0.74,
         "knee_peak": 41.0,
+        "self_contact": 50.0,
     }
 }
 """Record of the walk below under each version of the definitions."""
@@ -310,6 +312,7 @@ def test_another_meaning_of_a_recorded_metric_needs_another_version() -> None:
             "left_knee_joint_vel": 0.5275,
             "right_knee_joint_torque": 41.0 if step == 7 else 22.613,
             "right_knee_joint_vel": 1.0,
+            "self_force": 2.0 * (step % 2),
         }
 
     trials = walk(200, show, speed=0.3)

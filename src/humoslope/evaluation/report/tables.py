@@ -15,6 +15,7 @@ GRADES = (0.0, 10.0, 20.0, 30.0)
 """Degrees; the paper's four nominal grades, shown if there are no results."""
 PAPER_NOTE = "paper: as printed there, on another track in another simulator; its training budget is not stated."
 SR_NOTE = "SR: share of trials that reach the goal, with Wilson's 95 % interval; all friction tiers together."
+SELF_NOTE = "self-contact: share of the time in which two parts of the robot press on each other, mean over trials."
 MEAN_NOTE = "±: 95 % of the mean over trials of this policy on this track, by Student's t."
 AT_SPEED = "at the commanded speed"
 """Name of the row with the time that the commanded speed takes."""
@@ -25,6 +26,8 @@ ABLATION = (*TASK, "cost_of_transport", "yaw_rate_variance", "com_height", "knee
 """Metrics of table 2 that the paper has."""
 MORE = ("knee_p99", "speed", "speed_error")
 """Metrics that the paper does not have, beside them."""
+LATER = ("self_contact",)
+"""Metrics that older results lack; tables have columns of them only if a result has them."""
 
 
 def _columns(names: Sequence[str], group: str = "") -> list[Column]:
@@ -44,29 +47,37 @@ def _theirs(row: PaperRow, grade: float, names: Sequence[str]) -> list[Value]:
     return [figures.get(REPORTED[name].paper) for name in names]
 
 
+def _later(results: Sequence[Result]) -> list[str]:
+    """Those of `LATER` that one of the results has."""
+    measured = {name for result in results for cell in result.cells for name in cell.summary}
+    return [name for name in LATER if name in measured]
+
+
 def main_table(results: Sequence[Result], paper: Paper) -> Sheet:
     """Table 1: success rate, furthest distance and time at each grade, and the steepest grade."""
     grades = sorted({at.grade for result in results for at in result.grades}) or list(GRADES)
+    names = (*TASK, *_later(results))
 
     def ours(result: Result) -> list[Value]:
-        return [figure for grade in grades for figure in _ours(_summary(result.at(grade)), TASK)] + [result.limit]
+        return [figure for grade in grades for figure in _ours(_summary(result.at(grade)), names)] + [result.limit]
 
     def theirs(row: PaperRow) -> list[Value]:
-        return [figure for grade in grades for figure in _theirs(row, grade, TASK)] + [row.max_grade]
+        return [figure for grade in grades for figure in _theirs(row, grade, names)] + [row.max_grade]
 
     notes = [
         SR_NOTE,
         MEAN_NOTE,
         *_time_notes(results, grades),
+        *([SELF_NOTE] if "self_contact" in names else []),
         "Max grade: steepest with SR of 50 % and more in the slope-limit sweep.",
         *(f"{r.name}: the sweep ends there, the limit may be higher." for r in results if r.beyond),
     ]
-    columns = [column for grade in grades for column in _columns(TASK, f"{grade:g}°")]
+    columns = [column for grade in grades for column in _columns(names, f"{grade:g}°")]
     rows = _beside(results, paper.main, ours, theirs)
     return Sheet(
         title="Held-out slope tracks (paper, table 1)",
         columns=(*columns, Column("max grade", "°", 0)),
-        rows=(*(_at_speed(setup, grades, TASK, after=1) for setup in _setups(results)), *rows),
+        rows=(*(_at_speed(setup, grades, names, after=1) for setup in _setups(results)), *rows),
         notes=(*notes, PAPER_NOTE, *_partial_note(results)),
     )
 
@@ -103,20 +114,23 @@ def _time_notes(results: Sequence[Result], grades: Sequence[float]) -> list[str]
 def ablation_table(results: Sequence[Result], paper: Paper, grade: float = 20.0) -> Sheet:
     """Table 2: task performance, efficiency, stability, posture and load at one grade, by default the paper's."""
 
+    names = (*ABLATION, *MORE, *_later(results))
+
     def ours(result: Result) -> list[Value]:
-        return _ours(_summary(result.at(grade)), (*ABLATION, *MORE))
+        return _ours(_summary(result.at(grade)), names)
 
     def theirs(row: PaperRow) -> list[Value]:
-        return [*_theirs(row, grade, ABLATION), *(None for _ in MORE)]
+        return _theirs(row, grade, names)
 
     return Sheet(
         title=f"Variants at {grade:g}° (paper, table 2)",
-        columns=tuple(_columns((*ABLATION, *MORE))),
+        columns=tuple(_columns(names)),
         rows=_beside(results, paper.ablation if grade == paper.ablation_grade else (), ours, theirs),
         notes=(
             SR_NOTE,
             MEAN_NOTE,
             *_time_notes(results, [grade]),
+            *([SELF_NOTE] if "self_contact" in names else []),
             "CoT: sum of |torque x velocity| over weight and forward way, all trials. τ_knee: mean of trials' peaks.",
             "h_com: above the ground below the centre of mass. error: of a trial's mean speed from the commanded one.",
             PAPER_NOTE,
@@ -167,15 +181,16 @@ def diagnostics_table(results: Sequence[Result], grade: float = 20.0) -> Sheet:
 
 def cells_table(results: Sequence[Result]) -> Sheet:
     """Every reported metric at each grade and friction."""
-    rows = []
+    rows, absent = [], set(LATER) - set(_later(results))
+    names = [name for name in REPORTED if name not in absent]
     for result in results:
         for i, cell in enumerate(result.cells):
             friction = math.tan(math.radians(cell.grade)) + cell.tier
-            values = (cell.grade, friction, *_ours(cell.summary, list(REPORTED)))
+            values = (cell.grade, friction, *_ours(cell.summary, names))
             rows.append(Row(result.name, _training(result), values, partial=_partial(result), more=i > 0))
     return Sheet(
         title="By grade and friction",
-        columns=(Column("grade", "°", 0), Column("friction"), *_columns(list(REPORTED))),
+        columns=(Column("grade", "°", 0), Column("friction"), *_columns(names)),
         rows=tuple(rows),
         notes=(
             MEAN_NOTE,

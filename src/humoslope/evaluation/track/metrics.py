@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from torch import Tensor
 
+from humoslope.scene.signals import CONTACT_FORCE
 from humoslope.slope.zmp import GRAVITY
 from humoslope.statistics import Array, Average, Bools, Proportion, average, largest, proportion
 
@@ -248,6 +249,16 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric("knee_max", "τ max", "Nm", 1, reduce=lambda t: largest(t.recorded("knee_peak"))),
     Metric("knee_p99", "τ p99", "Nm", 1, reduce=lambda t: knee_quantile(t.metrics, 0.99)),
+    # Share of time in which two parts of the robot press on each other: mean of the trials' shares.
+    Metric(
+        "self_contact",
+        "self-contact",
+        "%",
+        1,
+        lambda s: 100.0 * (s.self_force > CONTACT_FORCE),
+        reduce=recorded_average("self_contact"),
+        interval=True,
+    ),
 )
 
 RECORDED = tuple(metric for metric in METRICS if metric.sample is not None)

@@ -60,6 +60,7 @@ class StepSample:
         com_height: [M] centre of mass above the ground right below it, m.
         root_height: [M] root above the ground below it, m.
         torso_pitch: [M] lean of the torso in the heading direction, rad, positive forward.
+        self_force: [M] largest force between two parts of the robot, N.
         joint_pos, joint_vel, joint_torque: [M, J] rad, rad/s, Nm.
         legs: Groups of the joints.
     """
@@ -72,6 +73,7 @@ class StepSample:
     com_height: Tensor
     root_height: Tensor
     torso_pitch: Tensor
+    self_force: Tensor
     joint_pos: Tensor
     joint_vel: Tensor
     joint_torque: Tensor
@@ -94,6 +96,7 @@ class StepSample:
             com_height=s.com_height,
             root_height=s.root_height,
             torso_pitch=torch.atan2(forward, torso_up_w[:, 2]),
+            self_force=s.self_force,
             joint_pos=s.joint_pos,
             joint_vel=s.joint_vel,
             joint_torque=s.joint_torque,

@@ -13,7 +13,7 @@ PLOTS = {
     "height": "height above the ground, m",
     "zmp": "ZMP deviation, m",
     "ground": "ground, degrees",
-    "force": "force on the feet, N",
+    "force": "force on the feet, and of the robot on itself, N",
     "load": "joint load, % of its limit",
     "reward": "rewards, per second",
 }

@@ -42,7 +42,11 @@ def log_plots(scene: Scene, rollout: Rollout, shared: str = "", pale: bool = Fal
     ground = {"slope": np.degrees(c.slope), "bank": np.degrees(c.bank)}
     series("ground", ground, [colours.NORMAL, colours.TARGET])
     force = np.linalg.norm(c.foot_force_w, axis=2)
-    series("force", {"left": force[:, 0], "right": force[:, 1]}, [colours.COMMANDED, colours.FORCE], own=True)
+    forces, hues = {"left": force[:, 0], "right": force[:, 1]}, [colours.COMMANDED, colours.FORCE]
+    if np.isfinite(c.self_force).any():
+        forces["robot on itself"] = c.self_force
+        hues.append(colours.ZMP)
+    series("force", forces, hues, own=True)
 
     share = np.abs(c.joint_torque) / np.array(rollout.header["robot"]["effort_limit"], np.float32)
     busiest = np.argsort(-np.square(share).mean(axis=0))[:BUSIEST]

@@ -128,7 +128,7 @@ class Scene:
         seconds = [event.time for event in events]
         steps = np.rint(np.array(seconds) / self._rollout.header["dt"]).astype(np.int64)
         times = [rr.TimeColumn(TIME, duration=seconds), rr.TimeColumn(STEP, sequence=steps)]
-        levels = ["WARN" if event.kind in ("fall", "push") else "INFO" for event in events]
+        levels = ["WARN" if event.kind in ("fall", "push", "touch") else "INFO" for event in events]
         texts = [event.text for event in events]
         self._recording.send_columns(self._prefix + "events", times, rr.TextLog.columns(text=texts, level=levels))
 
