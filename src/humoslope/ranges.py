@@ -89,6 +89,7 @@ Limit = Annotated[float, Range(0.0, open_low=True, infinite=True)]
 Span = Annotated[tuple[float, float], Range()]
 """Lowest and highest value of something that is drawn at random."""
 NotNegativeSpan = Annotated[tuple[float, float], Range(0.0)]
+PositiveSpan = Annotated[tuple[float, float], Range(0.0, open_low=True)]
 
 
 def check(where: str, name: str, value: Any, hint: Any, env: Any = None) -> None:
