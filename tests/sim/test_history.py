@@ -83,7 +83,7 @@ def test_the_control_of_a_reset_has_always_held(delayed: mujoco.MjModel, backend
 
 
 def test_every_world_moves_as_in_plain_mujoco_with_its_delay(delayed: mujoco.MjModel, backend: str) -> None:
-    simulation = start(delayed, backend, ctrl=0.3)
+    simulation = start(delayed, backend, ctrl=0.25)
     targets = np.sin(0.2 * np.arange(60))
     for target in targets:
         simulation.state("ctrl").fill_(target)
@@ -97,7 +97,7 @@ def test_every_world_moves_as_in_plain_mujoco_with_its_delay(delayed: mujoco.MjM
 def alone(model: mujoco.MjModel, delay: float, targets: np.ndarray) -> np.ndarray:
     model.actuator_delay[0] = delay
     data = mujoco.MjData(model)
-    mujoco.mj_initCtrlHistory(model, data, 0, None, np.full(ROOM, 0.3))
+    mujoco.mj_initCtrlHistory(model, data, 0, None, np.full(ROOM, 0.25))
     for target in targets:
         data.ctrl[0] = target
         mujoco.mj_step(model, data)
