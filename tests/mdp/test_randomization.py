@@ -113,7 +113,7 @@ PHYSICAL = {
     "damping": (event(randomization.randomize_joint_damping, damping=(0.0, 2.0)), ("dof_damping",)),
     "friction": (event(randomization.randomize_joint_friction, friction=(0.0, 2.0)), ("dof_frictionloss",)),
     "strength": (event(randomization.randomize_motor_strength, strength=(0.5, 1.5)), DRIVES),
-    "encoder": (event(randomization.randomize_encoder_bias, bias=0.1), ("actuator_biasprm",)),
+    "encoder": (event(randomization.randomize_encoder_bias, bias=0.1), ("actuator_biasprm", "actuator_gainprm")),
     "masses": (event(randomization.randomize_link_masses, factor=(0.5, 2.0)), ("body_mass", "body_inertia")),
     "delay": (event(randomization.randomize_control_delay, delay=(0.0, 0.03)), ("actuator_delay",)),
 }
