@@ -95,8 +95,8 @@ PositiveSpan = Annotated[tuple[float, float], Range(0.0, open_low=True)]
 def check(where: str, name: str, value: Any, hint: Any, env: Any = None) -> None:
     """Checks a value against its type hint.
 
-    Judged are declarations, the choices of a `Literal`, and True or False for a `bool`. A floating-point number without a declaration must be
-    finite.
+    Judged are declarations, the choices of a `Literal`, and True or False for a `bool`. A floating-point number without
+    a declaration must be finite.
 
     Raises:
         UserError: If the value is not acceptable, in one sentence.
