@@ -35,7 +35,10 @@ from humoslope.managers import (
     VelocityCommandCfg,
     control_steps,
 )
+from humoslope.scene.drives import Drives
 from humoslope.scene.height_scan import HeightScan, HeightScanCfg
+from humoslope.scene.masses import Masses
+from humoslope.scene.measurements import Measurements
 from humoslope.scene.robot import Robot
 from humoslope.scene.scene import build_model
 from humoslope.scene.signals import Signals
@@ -63,6 +66,9 @@ class SimCfg(StrictCfg):
         num_threads: Threads of the native backend; 0 for all CPUs that the process may use.
         nconmax: Room for contacts per env; warp only.
         njmax: Room for constraint rows per env; warp only.
+        max_control_delay_s: Longest control delay that the model has room for, s; 0 for no delay at all.
+        observation_age_s: Age of the measurements that the policy sees, s, whatever the physics step; one physics step
+            by default. It concerns observations with `measured`.
     """
 
     timestep: float = 0.005
@@ -73,6 +79,8 @@ class SimCfg(StrictCfg):
     num_threads: int = 0
     nconmax: int = 48
     njmax: int = 192
+    max_control_delay_s: float = 0.0
+    observation_age_s: float | None = None
 
 
 @dataclass
@@ -160,7 +168,7 @@ class ManagerBasedRlEnv:
         self.max_episode_length = control_steps("episode_length_s", cfg.episode_length_s, self.step_dt)
         terrain = cfg.scene.terrain.build()
         self.sim = make_simulation(
-            build_model(self.robot, terrain, cfg.sim.timestep, cfg.sim.cone),
+            build_model(self.robot, terrain, cfg.sim.timestep, cfg.sim.cone, cfg.sim.max_control_delay_s),
             cfg.num_envs,
             backend=cfg.sim.backend,
             device=cfg.sim.device,
@@ -177,6 +185,11 @@ class ManagerBasedRlEnv:
         self.terrain = TerrainQueries(terrain, self.device)
         self.tiles = Tiles(terrain, cfg.num_envs, self.device)
         self.signals = Signals(self.sim, self.robot, self.terrain)
+        self.drives = Drives(self.sim, self.robot)
+        self.masses = Masses(self.sim)
+        self.measurements = Measurements(
+            self.sim, self.signals, self.drives, cfg.sim.timestep, cfg.sim.observation_age_s
+        )
         self.height_scan = HeightScan(cfg.scene.height_scan, self.signals, self.terrain, self.tiles)
         self.default_joint_pos = torch.tensor(self.robot.default_joint_pos, device=self.device)  # [J] rad
         root = (0.0, 0.0, self.robot.default_root_height, 1.0, 0.0, 0.0, 0.0)
@@ -209,7 +222,8 @@ class ManagerBasedRlEnv:
 
         In this order:
             1. action: joint targets for the whole step;
-            2. physics: `sim.decimation` physics steps; envs that diverged are found;
+            2. physics: `sim.decimation` physics steps, with the readings of the robot's sensors on the way; envs that
+               diverged are found;
             3. signals: everything terms read, all of one instant; envs that diverged read zero;
             4. terminations;
             5. rewards;
@@ -231,7 +245,7 @@ class ManagerBasedRlEnv:
         self.finite.step += 1
         self.actions.process(action)
 
-        self.sim.step(self.cfg.sim.decimation, active)
+        self.measurements.advance(self.cfg.sim.decimation, active)
         self.diverged = self.sim.diverged()
         self._divergence.add(self._qpos, self._qvel)
         diverged = None if self.sim.known_empty(self.diverged) else self.diverged
@@ -326,6 +340,7 @@ class ManagerBasedRlEnv:
         self.start_root_pos_w = torch.where(mask[:, None], self.start_qpos[:, :3], self.start_root_pos_w)
         self.actions.reset(mask)
         self.signals.refresh()
+        self.measurements.reset(mask)
         self.commands.reset(mask)
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
         self.steps_since_reset = self.steps_since_reset.masked_fill(mask, 0)

@@ -89,13 +89,14 @@ Limit = Annotated[float, Range(0.0, open_low=True, infinite=True)]
 Span = Annotated[tuple[float, float], Range()]
 """Lowest and highest value of something that is drawn at random."""
 NotNegativeSpan = Annotated[tuple[float, float], Range(0.0)]
+PositiveSpan = Annotated[tuple[float, float], Range(0.0, open_low=True)]
 
 
 def check(where: str, name: str, value: Any, hint: Any, env: Any = None) -> None:
     """Checks a value against its type hint.
 
-    Judged are declarations, and the choices of a `Literal`. A floating-point number without a declaration must be
-    finite.
+    Judged are declarations, the choices of a `Literal`, and True or False for a `bool`. A floating-point number without
+    a declaration must be finite.
 
     Raises:
         UserError: If the value is not acceptable, in one sentence.
@@ -163,7 +164,9 @@ def _faults(value: Any, hint: Any, env: Any) -> list[str]:
     faults = [declaration.fault(value, env) for declaration in declarations]
     if get_origin(hint) is Literal and value not in get_args(hint):
         faults.append(f"it must be {' or '.join(repr(choice) for choice in get_args(hint))}")
-    if not declarations and not all(math.isfinite(number) for number in _floats(value)):
+    if hint is bool and not isinstance(value, bool):
+        faults.append("it must be True or False")
+    elif not declarations and not all(math.isfinite(number) for number in _floats(value)):
         faults.append("it must be finite")
     return [fault for fault in faults if fault is not None]
 

@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from humoslope.errors import UserError
 from humoslope.managers import Terms
 from humoslope.mdp import events
+from humoslope.scene.drives import Drives
+from humoslope.scene.masses import Masses
 from robots.unitree_g1 import UNITREE_G1
 
 FEET = [name for side in UNITREE_G1.foot_geoms for name in side]
@@ -24,11 +26,11 @@ class FakeSim:
 
     def __init__(self, model, num_worlds):
         self.model, self.recomputed, self._fields = model, 0, {}
-        self._num_worlds = num_worlds
+        self.num_worlds, self.device = num_worlds, torch.device("cpu")
 
     def expand(self, field):
         values = torch.as_tensor(np.array(getattr(self.model, field)))
-        return self._fields.setdefault(field, values.repeat(self._num_worlds, *[1] * values.dim()))
+        return self._fields.setdefault(field, values.repeat(self.num_worlds, *[1] * values.dim()))
 
     def recompute_constants(self):
         self.recomputed += 1
@@ -40,7 +42,8 @@ def worlds(make_env, g1):
 
     def make(num_envs, **attributes):
         sim = FakeSim(g1, num_envs)
-        return make_env(num_envs, sim=sim, robot=UNITREE_G1, body_id=lambda name: body_id(g1, name), **attributes)
+        parts = {"robot": UNITREE_G1, "drives": Drives(sim, UNITREE_G1), "masses": Masses(sim)}
+        return make_env(num_envs, sim=sim, body_id=lambda name: body_id(g1, name), **parts, **attributes)
 
     return make
 

@@ -13,16 +13,11 @@ from humoslope.mdp.room import check_room
 from humoslope.mdp.selection import Body, body_id
 from humoslope.mdp.soles import Soles
 from humoslope.ranges import NotNegative, NotNegativeSpan, Span
+from humoslope.sim.fields import replace
 from humoslope.slope import quaternion
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
-
-
-def _set(field: Tensor, mask: Tensor, value: Tensor) -> None:
-    """Writes `value` into `field` [N, ...] where `mask` [N] holds; broadcasts."""
-    where = mask.view(-1, *[1] * (field.dim() - 1))
-    field.copy_(torch.where(where, value.to(field.dtype), field))
 
 
 class ResetOnTile(StatefulTerm):
@@ -98,7 +93,7 @@ def push(env: Env, mask: Tensor, speed: NotNegative) -> None:
     """
     qvel = env.sim.state("qvel")
     kick = env.uniform(-speed, speed, 2)
-    _set(qvel[:, :2], mask, qvel[:, :2] + kick)
+    replace(qvel[:, :2], mask, qvel[:, :2] + kick)
 
 
 def push_in_random_direction(env: Env, mask: Tensor, speed: NotNegative) -> None:
@@ -131,7 +126,7 @@ def set_friction(env: Env, mask: Tensor, mu: Tensor) -> None:
     field = env.sim.expand("geom_friction")  # [N, G, 3]
     for side in env.robot.foot_geoms:
         for geom in side:
-            _set(field[:, env.sim.model.geom(geom).id, 0], mask, mu)
+            replace(field[:, env.sim.model.geom(geom).id, 0], mask, mu)
 
 
 def randomize_mass(env: Env, mask: Tensor, body: Body, added: Span) -> None:
@@ -141,16 +136,10 @@ def randomize_mass(env: Env, mask: Tensor, body: Body, added: Span) -> None:
         body: Name of the body.
         added: Range of the added mass, kg.
     """
-    model, i = env.sim.model, body_id(env, body)
-    mass = model.body_mass[i] + env.uniform(*added)
-    if model.body_mass[i] + added[0] <= 0.0:
-        raise UserError(
-            f"randomize_mass: {body} weighs {model.body_mass[i]:.3g} kg; {added[0]:g} kg cannot be added to it."
-        )
-    inertia = torch.as_tensor(model.body_inertia[i], dtype=torch.float32, device=env.device)
-    _set(env.sim.expand("body_mass")[:, i], mask, mass)
-    _set(env.sim.expand("body_inertia")[:, i], mask, inertia * (mass / model.body_mass[i])[:, None])
-    env.sim.recompute_constants()
+    mass, i = env.sim.model.body_mass, body_id(env, body)
+    if mass[i] + added[0] <= 0.0:
+        raise UserError(f"randomize_mass: {body} weighs {mass[i]:.3g} kg; {added[0]:g} kg cannot be added to it.")
+    env.masses.set(mask, slice(i, i + 1), added=env.uniform(*added, 1))
 
 
 def randomize_com(env: Env, mask: Tensor, body: Body, offset: NotNegative) -> None:
@@ -162,7 +151,7 @@ def randomize_com(env: Env, mask: Tensor, body: Body, offset: NotNegative) -> No
     """
     i = body_id(env, body)
     com = torch.as_tensor(env.sim.model.body_ipos[i], dtype=torch.float32, device=env.device)
-    _set(env.sim.expand("body_ipos")[:, i], mask, com + env.uniform(-offset, offset, 3))
+    replace(env.sim.expand("body_ipos")[:, i], mask, com + env.uniform(-offset, offset, 3))
     env.sim.recompute_constants()
 
 
@@ -172,11 +161,7 @@ def randomize_gains(env: Env, mask: Tensor, stiffness: NotNegativeSpan, damping:
     Args:
         stiffness, damping: Ranges of the factors.
     """
-    robot = env.robot
-    kp = torch.tensor(robot.stiffness, device=env.device) * env.uniform(*stiffness, robot.num_joints)
-    kd = torch.tensor(robot.damping, device=env.device) * env.uniform(*damping, robot.num_joints)
-    # A MuJoCo position actuator: force = kp ctrl - kp q - kd dq.
-    bias = env.sim.expand("actuator_biasprm")  # [N, J, 10]
-    _set(env.sim.expand("actuator_gainprm")[:, :, 0], mask, kp)
-    _set(bias[:, :, 1], mask, -kp)
-    _set(bias[:, :, 2], mask, -kd)
+    drives, joints = env.drives, env.robot.num_joints
+    kp = drives.nominal_stiffness * env.uniform(*stiffness, joints)
+    kd = drives.nominal_damping * env.uniform(*damping, joints)
+    drives.set(mask, stiffness=kp, damping=kd)

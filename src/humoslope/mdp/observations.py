@@ -1,6 +1,8 @@
 """Observations. Every function returns [N, d] and declares its mirror image.
 
 The robot itself can measure those of the first part; those of the second part are privileged, for the critic only.
+With `measured` an observation is what the robot's own sensors report, with their errors and at their age (see
+`Measurements`); without, it is the truth of one physics step ago.
 """
 
 from __future__ import annotations
@@ -18,20 +20,26 @@ from humoslope.slope.zmp import GRAVITY
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
+    from humoslope.scene.measurements import Measurements
+    from humoslope.scene.signals import Signals
+
+
+def _source(env: Env, measured: bool) -> Measurements | Signals:
+    return env.measurements if measured else env.signals
 
 
 @mirrored_as(declare.axial)
 @measured_as("root_angular_velocity")
-def base_ang_vel(env: Env) -> Tensor:
+def base_ang_vel(env: Env, measured: bool = False) -> Tensor:
     """Angular velocity of the root in its own frame, rad/s, [N, 3]."""
-    return env.signals.root_ang_vel_b
+    return _source(env, measured).root_ang_vel_b
 
 
 @mirrored_as(declare.polar)
 @measured_as("gravity_direction")
-def projected_gravity(env: Env) -> Tensor:
+def projected_gravity(env: Env, measured: bool = False) -> Tensor:
     """Direction of gravity in the root frame, [N, 3]."""
-    return env.signals.projected_gravity_b
+    return _source(env, measured).projected_gravity_b
 
 
 @mirrored_as(declare.planar_velocity)
@@ -43,16 +51,16 @@ def velocity_command(env: Env) -> Tensor:
 
 @mirrored_as(declare.joints)
 @measured_as("joint_position_offset")
-def joint_pos_rel(env: Env) -> Tensor:
+def joint_pos_rel(env: Env, measured: bool = False) -> Tensor:
     """Joint positions relative to the default pose, rad, [N, J]."""
-    return env.signals.joint_pos - env.default_joint_pos
+    return _source(env, measured).joint_pos - env.default_joint_pos
 
 
 @mirrored_as(declare.joints)
 @measured_as("joint_velocity")
-def joint_vel(env: Env) -> Tensor:
+def joint_vel(env: Env, measured: bool = False) -> Tensor:
     """Joint velocities, rad/s, [N, J]."""
-    return env.signals.joint_vel
+    return _source(env, measured).joint_vel
 
 
 @mirrored_as(declare.joints)

@@ -122,6 +122,14 @@ class Signals:
         self.root_height, self.com_height, self.foot_height = height[:, 0], height[:, 1], height[:, 2:]
         self._ground_around = ground[:, 4:]
 
+    def own_sensors(self) -> Tensor:
+        """Returns what encoders and IMU read at present, [N, 2 J + 6]: joint positions and velocities, angular velocity
+        and direction of gravity in the root frame. Unlike the attributes it needs no `refresh`."""
+        data = self._sensordata
+        gravity_b = -quaternion.matrix(data[:, self._slices["root_quat_w"]])[:, 2]
+        angular = data[:, self._slices["root_ang_vel_b"]]
+        return torch.cat([data[:, self._joint_pos], data[:, self._joint_vel], angular, gravity_b], dim=1)
+
     @cached_property
     def slope_normal_w(self) -> Tensor:
         """[N, 3] unit normal of the ground below the root, at the scale of a step."""

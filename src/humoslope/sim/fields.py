@@ -52,6 +52,12 @@ def check_reset(model: mujoco.MjModel, num_worlds: int, mask: Tensor, qpos: Tens
         raise ValueError(f"reset takes a bool mask, qpos and qvel of shapes {right}, not {mask.dtype} {shapes}")
 
 
+def replace(target: Tensor, mask: Tensor, value: Tensor) -> None:
+    """Writes `value` into `target` [N, ...] where `mask` [N] holds; broadcasts, and converts to the target's dtype."""
+    where = mask.view(-1, *(1,) * (target.dim() - 1))
+    target.copy_(torch.where(where, value.to(target.dtype), target))
+
+
 def _array_names(struct: mujoco.MjModel | mujoco.MjData) -> list[str]:
     names = (name for name in dir(struct) if not name.startswith("_"))
     return [name for name in names if isinstance(getattr(struct, name), np.ndarray)]

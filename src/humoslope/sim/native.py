@@ -21,12 +21,16 @@ from humoslope.sim.fields import (
     check_state,
     no_access,
 )
+from humoslope.sim.history import past_controls
 
 # mj_step resets a world with a bad position, velocity or acceleration and goes on, and treats a bad control as zero;
 # the only trace is a counter.
 _FIRST_BAD = int(mjtWarning.mjWARN_BADQPOS)
 _FULL = ("contact", "constraint")
 _FULL_KINDS = [int(mjtWarning.mjWARN_CONTACTFULL), int(mjtWarning.mjWARN_CNSTRFULL)]
+
+# Parts of the state that stand before the history buffers in a row.
+_BEFORE_HISTORY = int(mjtState.mjSTATE_TIME | mjtState.mjSTATE_QPOS | mjtState.mjSTATE_QVEL | mjtState.mjSTATE_ACT)
 
 _FRAMES = ("body_ipos", "body_iquat", "geom_pos", "geom_quat", "site_pos", "site_quat")
 
@@ -47,6 +51,8 @@ class NativeSimulation:
         self._rows: NDArray[np.float64] = self._batch.bind("state")  # [N, nstate]
         self._fresh = _initial_state(model)
         self._state = {field: self._batch.bind(field) for field in STATE_FIELDS}
+        self._past, self._past_of = past_controls(model)
+        self._past += mujoco.mj_stateSize(model, _BEFORE_HISTORY)
         self._qpos, self._qvel = self.state("qpos"), self.state("qvel")
         self._expanded: dict[str, Tensor] = {}
         self._warning: NDArray[np.int32] = self._batch.bind("warning")  # [N, kind, (last info, count)]
@@ -114,6 +120,9 @@ class NativeSimulation:
         for field, value in (("qpos", qpos), ("qvel", qvel), ("ctrl", ctrl), ("xfrc_applied", xfrc_applied)):
             if value is not None:
                 self._state[field][chosen] = value.numpy()[chosen]
+        if len(self._past):
+            rows = np.flatnonzero(chosen)[:, None]
+            self._rows[rows, self._past] = self._state["ctrl"][rows, self._past_of]
         self._full_before += self._warning[chosen][:, _FULL_KINDS, 1].sum(axis=0)
         self._warning[chosen] = 0
         self._batch.forward(ids=chosen)

@@ -84,7 +84,8 @@ class Simulation(Protocol):
     ) -> None:
         """Starts the worlds in `mask` [N] anew; their readings become those of the new state, controls and wrenches.
 
-        Warm start and time of those worlds become zero. The other worlds and their readings stay as they are.
+        Warm start and time of those worlds become zero; where actuators have a delay, their controls have always held.
+        The other worlds and their readings stay as they are.
 
         Args:
             qpos, qvel: [N, nq] and [N, nv].

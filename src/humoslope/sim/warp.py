@@ -14,8 +14,17 @@ import warp as wp
 from torch import Tensor
 
 from humoslope.errors import UserError
-from humoslope.sim.fields import FASTEST, check_model_field, check_reading, check_reset, check_state, no_access
+from humoslope.sim.fields import (
+    FASTEST,
+    check_model_field,
+    check_reading,
+    check_reset,
+    check_state,
+    no_access,
+    replace,
+)
 from humoslope.sim.height_field import collide_near_geoms
+from humoslope.sim.history import past_controls
 
 # Else a banner and a line for each of some fifty kernel modules go into every run's log.
 wp.config.log_level = wp.LOG_WARNING
@@ -111,6 +120,10 @@ class WarpSimulation:
         self._ctrl, self._wrench = self.state("ctrl"), self.state("xfrc_applied")
         zeroed = ("ctrl", "xfrc_applied", "qfrc_applied", "qacc_warmstart", "act", "time")
         self._zeroed = [wp.to_torch(getattr(self._d, field)) for field in zeroed]
+        self._history = wp.to_torch(self._d.history)  # [N, nhistory]
+        fresh = mujoco.MjData(model).history
+        self._fresh_history = torch.as_tensor(fresh, dtype=torch.float32, device=self.device)
+        self._past, self._past_of = (torch.as_tensor(index, device=self.device) for index in past_controls(model))
 
     def read(self, field: str) -> Tensor:
         """See `Simulation.read`."""
@@ -161,16 +174,20 @@ class WarpSimulation:
     ) -> None:
         """See `Simulation.reset`. The forces of all worlds are computed; those outside the mask are left unread."""
         check_reset(self.model, self.num_worlds, mask, qpos, qvel)
-        _replace(self._qpos, mask, qpos)
-        _replace(self._qvel, mask, qvel)
+        replace(self._qpos, mask, qpos)
+        replace(self._qvel, mask, qvel)
         for array in self._zeroed:
             array.masked_fill_(_like(mask, array), 0.0)
         for target, value in ((self._ctrl, ctrl), (self._wrench, xfrc_applied)):
             if value is not None:
-                _replace(target, mask, value)
+                replace(target, mask, value)
+        if self.model.nhistory:
+            history = self._fresh_history.repeat(self.num_worlds, 1)
+            history[:, self._past] = self._ctrl[:, self._past_of]
+            replace(self._history, mask, history)
         self._run("forward", mjw.forward)
         for reading, live in self._readings.values():
-            _replace(reading, mask, live)
+            replace(reading, mask, live)
 
     def known_empty(self, mask: Tensor) -> bool:
         """See `Simulation.known_empty`. Looking would wait for the device."""
@@ -306,10 +323,6 @@ def _convex_pairs(model: Any) -> int:
 
 def _like(mask: Tensor, array: Tensor) -> Tensor:
     return mask.view(-1, *(1,) * (array.dim() - 1))
-
-
-def _replace(target: Tensor, mask: Tensor, value: Tensor) -> None:
-    target.copy_(torch.where(_like(mask, target), value.to(target.dtype), target))
 
 
 @wp.kernel(enable_backward=False)  # type: ignore[untyped-decorator]

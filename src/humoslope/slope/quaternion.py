@@ -38,3 +38,9 @@ def from_yaw(angle: Tensor) -> Tensor:
     half = 0.5 * angle
     zero = torch.zeros_like(angle)
     return torch.stack([half.cos(), zero, zero, half.sin()], dim=-1)
+
+
+def from_rotation_vector(v: Tensor) -> Tensor:
+    """The quaternion [..., 4] of a turn about `v` [..., 3] by its length, rad."""
+    half = 0.5 * v.norm(dim=-1, keepdim=True)
+    return torch.cat([half.cos(), 0.5 * torch.sinc(half / torch.pi) * v], dim=-1)
