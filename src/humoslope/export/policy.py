@@ -142,7 +142,9 @@ def make_contract(
             default_root_height_m=robot.default_root_height,
         ),
         timing=contracts.Timing(
-            control_step_s=env.step_dt, physics_step_s=sim.timestep, observation_age_s=sim.timestep
+            control_step_s=env.step_dt,
+            physics_step_s=sim.timestep,
+            observation_age_s=sim.observation_age_s or sim.timestep,
         ),
         action=contracts.Action(
             target="default_rad + action_scale_rad * output",

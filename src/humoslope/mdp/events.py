@@ -104,7 +104,7 @@ def push_in_random_direction(env: Env, mask: Tensor, speed: NotNegative) -> None
     """
     qvel, angle = env.sim.state("qvel"), env.uniform(0.0, 2.0 * torch.pi)
     kick = speed * torch.stack([angle.cos(), angle.sin()], dim=1)
-    _set(qvel[:, :2], mask, qvel[:, :2] + kick)
+    replace(qvel[:, :2], mask, qvel[:, :2] + kick)
 
 
 def randomize_friction(env: Env, mask: Tensor, friction: NotNegativeSpan, slope_margin: NotNegative) -> None:
