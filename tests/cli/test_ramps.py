@@ -38,7 +38,9 @@ def test_an_untrained_robot_falls_and_table_and_file_agree(
         assert row[1] == "2/2"
         assert row[2] == "100.0"
         assert row[3] == f"{100 * ramp['falls']['low']:.1f}-100.0"
-        assert row[-1] == f"{ramp['distance']:.2f}"
+        assert row[-2] == f"{ramp['distance']:.2f}"
+        touching = ramp["self_contact"]
+        assert row[-1] == ("-" if touching is None else f"{100 * touching:.1f}")
 
 
 def test_the_file_says_what_was_evaluated_and_how(

@@ -31,14 +31,22 @@ def _source(env: Env, measured: bool) -> Measurements | Signals:
 @mirrored_as(declare.axial)
 @measured_as("root_angular_velocity")
 def base_ang_vel(env: Env, measured: bool = False) -> Tensor:
-    """Angular velocity of the root in its own frame, rad/s, [N, 3]."""
+    """Angular velocity of the root in its own frame, rad/s, [N, 3].
+
+    Args:
+        measured: Take what the robot's sensors report, with their errors and at their age.
+    """
     return _source(env, measured).root_ang_vel_b
 
 
 @mirrored_as(declare.polar)
 @measured_as("gravity_direction")
 def projected_gravity(env: Env, measured: bool = False) -> Tensor:
-    """Direction of gravity in the root frame, [N, 3]."""
+    """Direction of gravity in the root frame, [N, 3].
+
+    Args:
+        measured: Take what the robot's sensors report, with their errors and at their age.
+    """
     return _source(env, measured).projected_gravity_b
 
 
@@ -52,14 +60,22 @@ def velocity_command(env: Env) -> Tensor:
 @mirrored_as(declare.joints)
 @measured_as("joint_position_offset")
 def joint_pos_rel(env: Env, measured: bool = False) -> Tensor:
-    """Joint positions relative to the default pose, rad, [N, J]."""
+    """Joint positions relative to the default pose, rad, [N, J].
+
+    Args:
+        measured: Take what the robot's sensors report, with their errors and at their age.
+    """
     return _source(env, measured).joint_pos - env.default_joint_pos
 
 
 @mirrored_as(declare.joints)
 @measured_as("joint_velocity")
 def joint_vel(env: Env, measured: bool = False) -> Tensor:
-    """Joint velocities, rad/s, [N, J]."""
+    """Joint velocities, rad/s, [N, J].
+
+    Args:
+        measured: Take what the robot's sensors report, with their errors and at their age.
+    """
     return _source(env, measured).joint_vel
 
 
