@@ -13,6 +13,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from humoslope.deploy.conditions import NOMINAL
 from humoslope.deploy.player import TrialCfg
 from humoslope.errors import UserError
 from humoslope.evaluation.margins import show
@@ -61,6 +62,10 @@ class Options:
             raise UserError(f"--speed {self.speed:g} must be positive; margins are those of a walk.")
         if self.seconds <= 2.0:
             raise UserError(f"--seconds {self.seconds:g} must be above 2; speed is measured from 2 s on.")
+        if "push" in self.quantities and self.seconds <= NOMINAL.push_every_s:
+            raise UserError(
+                f"--seconds {self.seconds:g} must be above {NOMINAL.push_every_s:g}, when the first push comes."
+            )
         if self.processes < 0 or not self.quantities:
             raise UserError(f"--processes {self.processes} must be 0 or more, and --quantities must name some.")
 

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from humoslope.plotting import INK, dress, new_figure, save_figure
@@ -15,8 +16,10 @@ COLUMNS = 4
 
 def table(report: dict[str, Any]) -> Table:
     """The limits of all quantities."""
-    result = Table(title="Margins", caption=f"success: {report['success']}")
-    for column in ("quantity", "unit", "nominal", "holds to", "at least", "fails at", "successes", "falls"):
+    result = Table(
+        title="Margins", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False, caption=f"success: {report['success']}"
+    )
+    for column in ("quantity", "unit", "nominal", "holds to", "at least", "fails at", "passed", "falls"):
         result.add_column(column, justify="left" if column in ("quantity", "unit") else "right", no_wrap=True)
     for name, found in report["quantities"].items():
         tested = {series["value"]: series for series in found["tested"]}
