@@ -1,4 +1,4 @@
-"""`humoslope margins`: from the files of an export alone, to a table, a JSON and a figure; interrupted and continued."""
+"""`humoslope margins`: from an export alone to a table, a JSON and a figure; interrupted and continued."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from humoslope.cli import main
 from humoslope.deploy.player import Trial, TrialCfg
 from humoslope.evaluation.margins import run as margins
 from humoslope.evaluation.margins.quantities import Success
