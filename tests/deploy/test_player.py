@@ -254,7 +254,10 @@ def test_the_shipped_policy_marks_time_where_it_is_asked_to_stand(make_player: C
 
 
 def test_a_summary_is_the_mean_over_what_was_measured() -> None:
-    trials = [Trial(False, 4.0, 1.0, 0.5, 2.0, 0.1, 3.0), Trial(True, 1.0, 2.0, math.nan, 4.0, math.nan, math.nan)]
+    trials = [
+        Trial(False, 4.0, 1.0, 0.5, 2.0, 0.1, 3.0, 0.0, 0.5, 0.0),
+        Trial(True, 1.0, 2.0, math.nan, 4.0, *[math.nan] * 5),
+    ]
     result = summarise(trials)
     assert result == Summary(result.falls, 0.5, 1.5, 3.0, 0.1, 3.0)
     assert (result.falls.count, result.falls.total) == (1, 2)

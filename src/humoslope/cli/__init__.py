@@ -30,6 +30,7 @@ VERBS = {
     "upgrade": "Rewrite a checkpoint of an older version in the format of this one.",
     "export": "Export a checkpoint to ONNX and a contract.",
     "play": "Run an exported policy in plain MuJoCo.",
+    "margins": "Certify the physical conditions up to which an exported policy succeeds.",
     "bench": "Measure speed and memory.",
     "check": "Check that an installation is right and fast, on a GPU or a CPU.",
 }

@@ -72,7 +72,10 @@ def _run(console: Console, player: Player) -> list[Trial]:
 def _introduction(contract: Contract, cfg: TrialCfg) -> str:
     timing, training, commands = contract.timing, contract.training, contract.commands
     ground = f"a ramp of {cfg.grade:g} degrees" if cfg.grade else "flat ground"
-    asked = f"{cfg.speed:g} m/s asked" if cfg.speed else "asked to stand"
+    if cfg.cross:
+        ground = f"a cross slope of {cfg.cross:g} degrees"
+    turning = "" if cfg.yaw_rate is None else f" and {cfg.yaw_rate:g} rad/s"
+    asked = f"{cfg.speed:g} m/s{turning} asked" if cfg.speed or turning else "asked to stand"
     text = (
         f"[bold]{training.task}[/bold], iteration {training.iteration}, on {contract.robot.name}\n"
         f"{ground}, friction {cfg.friction:.3g}, {asked}; MuJoCo at "

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from humoslope.deploy.conditions import NOMINAL, Conditions
 from humoslope.deploy.contract import Contract, Steering
 from humoslope.deploy.controller import Controller, OnnxPolicy
 from humoslope.deploy.quantities import Array
@@ -42,6 +43,8 @@ class TrialCfg:
         seconds: Length of a trial, s. A window stays open until it is closed.
         trials: Number of trials, each from another random start. More than one need --headless.
         seed: Seed of the random starts.
+        cross: Slope of the ground across the course, degrees; positive rises to the left. Only without a ramp.
+        yaw_rate: Commanded yaw rate, rad/s, positive to the left; null to steer along the course.
     """
 
     grade: float = 0.0
@@ -49,10 +52,17 @@ class TrialCfg:
     seconds: float = 20.0
     trials: int = 1
     seed: int = 0
+    cross: float = 0.0
+    yaw_rate: float | None = None
 
     def __post_init__(self) -> None:
-        if not -STEEPEST <= self.grade <= STEEPEST:
-            raise UserError(f"--grade {self.grade:g} must be between {-STEEPEST:g} and {STEEPEST:g} degrees.")
+        for name, slope in (("--grade", self.grade), ("--cross", self.cross)):
+            if not -STEEPEST <= slope <= STEEPEST:
+                raise UserError(f"{name} {slope:g} must be between {-STEEPEST:g} and {STEEPEST:g} degrees.")
+        if self.grade and self.cross:
+            raise UserError(f"--cross {self.cross:g} and --grade {self.grade:g} cannot be combined; one must be 0.")
+        if self.yaw_rate is not None and not abs(self.yaw_rate) <= FASTEST:
+            raise UserError(f"--yaw-rate {self.yaw_rate:g} must be at most {FASTEST:g} rad/s.")
         if not abs(self.speed) <= FASTEST:
             raise UserError(f"--speed {self.speed:g} must be at most {FASTEST:g} m/s.")
         if not 0.0 < self.seconds < math.inf:
@@ -63,7 +73,7 @@ class TrialCfg:
     @property
     def friction(self) -> float:
         """Coefficient of friction between feet and ground."""
-        return max(FRICTION, math.tan(math.radians(abs(self.grade))) + FRICTION_MARGIN)
+        return max(FRICTION, math.tan(math.radians(abs(self.grade or self.cross))) + FRICTION_MARGIN)
 
     @property
     def length(self) -> float:
@@ -83,6 +93,11 @@ class Trial:
         drift: Distance on the ground, in any direction, between the start and the end, m.
         creep: The same between `SETTLE_S` and the end, per second, m/s; NaN if the trial did not last that long.
         step_rate: Touchdowns of all feet per second after `SETTLE_S`, 1/s; NaN if the trial did not last that long.
+        lateral_speed: Mean speed across the course after `SETTLE_S`, on its surface and to the left, m/s; NaN if the
+            trial did not last that long.
+        heading_speed: Mean horizontal speed in the direction of the root's heading after `SETTLE_S`, m/s; NaN if the
+            trial did not last that long.
+        yaw_rate: Mean yaw rate after `SETTLE_S`, rad/s; NaN if the trial did not last that long.
     """
 
     fell: bool
@@ -92,6 +107,9 @@ class Trial:
     drift: float
     creep: float
     step_rate: float
+    lateral_speed: float
+    heading_speed: float
+    yaw_rate: float
 
 
 @dataclass(frozen=True)
@@ -140,14 +158,28 @@ class TouchdownCounter:
 class Player:
     """A policy, its robot, and the course below it.
 
+    Args:
+        folder: The export folder.
+        contract: The contract in it.
+        cfg: Course and command.
+        conditions: Disturbances.
+        model: MJCF of another robot with joints of the same names, in place of the export's own.
+
     Raises:
         UserError: If a file of the export is missing or broken, or they do not belong together.
     """
 
-    def __init__(self, folder: Path, contract: Contract, cfg: TrialCfg) -> None:
-        self.contract, self.cfg = contract, cfg
+    def __init__(
+        self,
+        folder: Path,
+        contract: Contract,
+        cfg: TrialCfg,
+        conditions: Conditions = NOMINAL,
+        model: Path | None = None,
+    ) -> None:
+        self.contract, self.cfg, self.conditions = contract, cfg, conditions
         self.controller = Controller(contract, OnnxPolicy(folder, contract.network))
-        self.world = World(folder, contract, cfg.grade, cfg.friction, cfg.length)
+        self.world = World(folder, contract, cfg.grade, cfg.friction, cfg.length, cfg.cross, conditions, model)
 
     def start(self, rng: np.random.Generator | None = None) -> None:
         """Places the robot at the start, with a random offset of place and pose if `rng` is given."""
@@ -164,7 +196,10 @@ class Player:
         self.world.step(self.controller(measured))
 
     def course_command(self) -> Array:
-        """Returns the command [3] that keeps the robot on the course at its speed; zeros if it is asked to stand."""
+        """Returns the command [3] that keeps the robot on the course at its speed, or turns it at the rate of `cfg`;
+        zeros if it is asked to stand."""
+        if self.cfg.yaw_rate is not None:
+            return np.array([self.cfg.speed, 0.0, self.cfg.yaw_rate])
         yaw_rate = steer(self.contract.commands.steering, self.world.root_pos[1], self.world.yaw)
         return np.array([self.cfg.speed, 0.0, yaw_rate]) if self.cfg.speed else np.zeros(3)
 
@@ -175,7 +210,13 @@ class Player:
         steps, settle = round(self.cfg.seconds / dt), round(SETTLE_S / dt)
         begin = settled = end = self._place()
         touchdowns, lasted = TouchdownCounter(len(world.foot_bodies), dt), steps
+        headway = turned = 0.0
+        push_steps = max(1, round(self.conditions.push_every_s / dt)) if self.conditions.push_m_s else steps + 1
         for done in range(1, steps + 1):
+            if done > 1 and (done - 1) % push_steps == 0:
+                direction = rng.uniform(-math.pi, math.pi)
+                world.push(self.conditions.push_m_s * np.array([math.cos(direction), math.sin(direction), 0.0]))
+            (x, y), yaw = world.root_pos[:2], world.yaw
             self.step(self.course_command())
             if world.fallen():
                 lasted = done - 1
@@ -184,6 +225,9 @@ class Player:
             touchdowns.add(world.feet_down())
             if done <= settle:
                 settled, touchdowns.count = end, 0
+                continue
+            headway += (world.root_pos[0] - x) * math.cos(yaw) + (world.root_pos[1] - y) * math.sin(yaw)
+            turned += math.remainder(world.yaw - yaw, 2.0 * math.pi)
         fell = lasted < steps
         measured_s = (lasted - settle) * dt if lasted > settle else math.nan
         return Trial(
@@ -194,12 +238,15 @@ class Player:
             drift=float(np.linalg.norm(end - begin)),
             creep=float(np.linalg.norm(end - settled)) / measured_s,
             step_rate=touchdowns.count / measured_s,
+            lateral_speed=float(end[1] - settled[1]) / measured_s,
+            heading_speed=headway / measured_s,
+            yaw_rate=turned / measured_s,
         )
 
     def _place(self) -> Array:
         """Place of the root on the ground, [2] m: along the course and across it."""
         x, y, _ = self.world.root_pos
-        return np.array([self.world.along(x), y])
+        return np.array([self.world.along(x), y / math.cos(self.world.cross)])
 
 
 def steer(steering: Steering, left: float, yaw: float) -> float:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from humoslope.deploy.conditions import NOMINAL, Conditions
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.controller import read_hashed
 from humoslope.deploy.quantities import Array, Measured
@@ -23,6 +26,14 @@ BEHIND, HALF_WIDTH, HALF_THICKNESS = 20.0, 20.0, 0.5
 GROUND = "ground"
 FOOT_DOWN_N = 5.0
 """A foot is down while the ground carries it with at least this normal force, N."""
+CLEARANCE = 0.01
+"""Height of the feet above the ground at the start, m."""
+CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+PHYSICS = (
+    *("integrator", "cone", "jacobian", "solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance"),
+    *("impratio", "gravity", "wind", "density", "viscosity", "disableflags", "enableflags"),
+)
+"""Options of the physics that hold for every robot model of an export, in addition to the time step."""
 
 
 class World:
@@ -32,6 +43,7 @@ class World:
         model: MuJoCo's model.
         data: MuJoCo's data.
         grade: Grade of the ramp, rad; positive rises along x.
+        cross: Slope across the course, rad; positive rises to the left.
         foot_bodies: Ids of the bodies that carry the foot geoms, one for each foot.
 
     Args:
@@ -40,23 +52,53 @@ class World:
         grade: Grade of the ramp, degrees; 0 for flat ground.
         friction: Coefficient of friction between feet and ground.
         length: Length of the ramp, m.
+        cross: Slope of the whole ground across the course, degrees; 0 if there is a ramp.
+        conditions: Disturbances.
+        model: MJCF of another robot with joints of the same names, in place of the export's own; it walks with the
+            motors and the physics options of the export.
 
     Raises:
-        UserError: If the model is missing, broken, or lacks what the contract names.
+        UserError: If the model is missing, broken, or lacks what the contract names, or if the conditions do not go
+            with the contract.
     """
 
-    def __init__(self, folder: Path, contract: Contract, grade: float, friction: float, length: float) -> None:
-        self._contract, self.grade = contract, math.radians(grade)
+    def __init__(
+        self,
+        folder: Path,
+        contract: Contract,
+        grade: float,
+        friction: float,
+        length: float,
+        cross: float = 0.0,
+        conditions: Conditions = NOMINAL,
+        model: Path | None = None,
+    ) -> None:
+        self._contract, self.grade, self.cross = contract, math.radians(grade), math.radians(cross)
+        self._set_timing(conditions)
+        self._bias = _encoder_bias(contract, conditions)
+        tilt = np.array([*conditions.imu_tilt_rad, 0.0])
+        angle = float(np.linalg.norm(tilt))
+        self._imu_quat: Array | None = None  # orientation of the IMU in the root frame
+        if angle:
+            self._imu_quat = np.zeros(4)
+            mujoco.mju_axisAngle2Quat(self._imu_quat, tilt / angle, angle)
+
         spec = _load(folder / contract.robot.file, contract.robot.sha256)
+        feet = [_named(spec.geom(name), "geom", name, spec.geoms) for name in contract.robot.foot_geoms]
+        if model is not None:
+            spec, feet = _other_robot(model, spec, feet, contract)
         root = _named(spec.body(contract.robot.root_body), "body", contract.robot.root_body, spec.bodies)
         floating = root.first_joint()
         if floating is None or floating.type != mujoco.mjtJoint.mjJNT_FREE:
             raise UserError(f"the robot model's body '{root.name}' has no free joint, so it cannot walk.")
-        _add_drives(spec, contract)
-        for name in contract.robot.foot_geoms:
-            _named(spec.geom(name), "geom", name, spec.geoms).friction[0] = friction
-        _add_ground(spec, self.grade, length)
-        spec.option.timestep = contract.timing.physics_step_s
+        _add_drives(spec, contract, conditions.strength)
+        for foot in feet:
+            foot.friction[0] = friction if conditions.friction is None else conditions.friction
+        foot_geoms = [foot.name for foot in feet]
+        _add_ground(spec, self.grade, length, self.cross)
+        if conditions.load_kg:
+            _named(spec.body(conditions.load_body), "body", conditions.load_body, spec.bodies)
+        spec.option.timestep = self._timestep
         try:
             self.model = spec.compile()
         except ValueError as error:
@@ -68,13 +110,35 @@ class World:
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
         self._default = np.array([joint.default_rad for joint in contract.joints])
-        feet = [int(self.model.geom(name).bodyid[0]) for name in contract.robot.foot_geoms]
-        self.foot_bodies = sorted(set(feet))
+        foot_bodies = [int(self.model.geom(name).bodyid[0]) for name in foot_geoms]
+        self.foot_bodies = sorted(set(foot_bodies))
         self._foot_of_geom = {
             int(self.model.geom(name).id): self.foot_bodies.index(body)
-            for name, body in zip(contract.robot.foot_geoms, feet, strict=True)
+            for name, body in zip(foot_geoms, foot_bodies, strict=True)
         }
+        if conditions.load_kg:
+            self.model.body_mass[self.model.body(conditions.load_body).id] += conditions.load_kg
+            mujoco.mj_setConst(self.model, self.data)  # whatever MuJoCo derives from masses
+        # The contract's height is that of its own robot over level ground.
+        self._place_on_feet = cross != 0.0 or model is not None
         self.reset()
+
+    def _set_timing(self, conditions: Conditions) -> None:
+        timing = self._contract.timing
+        self._timestep = conditions.timestep_s or timing.physics_step_s
+        self._decimation = round(timing.control_step_s / self._timestep)
+        if self._decimation < 1 or abs(self._decimation * self._timestep - timing.control_step_s) > 1e-9:
+            raise UserError(
+                f"conditions: the control step of {timing.control_step_s:g} s is no whole number of physics steps of "
+                f"{self._timestep:g} s."
+            )
+        self._delay = round(conditions.delay_s / self._timestep)  # physics steps
+        # The measurements belong to this many physics steps, and a part of the next one, after the last targets.
+        until_seen = (timing.control_step_s - timing.observation_age_s) / self._timestep
+        self._seen_after = math.floor(until_seen + 1e-6)
+        self._seen_part = until_seen - self._seen_after
+        if self._seen_part < 1e-6:
+            self._seen_part = 0.0
 
     def reset(self, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, joints: Array | float = 0.0) -> None:
         """Places the robot at rest in its default pose, a centimetre above the ground.
@@ -87,33 +151,71 @@ class World:
         """
         model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
-        height = self._contract.robot.default_root_height_m + self.ground(x) + 0.01
+        height = self._contract.robot.default_root_height_m + self.ground(x, y) + CLEARANCE
         pose = [x, y, height, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)]
         data.qpos[self._free_pos : self._free_pos + 7] = pose
         low, high = np.array([joint.range_rad for joint in self._contract.joints]).T
         data.qpos[self._qpos] = np.clip(self._default + joints, low, high)
         mujoco.mj_forward(model, data)
-        data.ctrl[:] = self._default
+        if self._place_on_feet:
+            data.qpos[self._free_pos + 2] += CLEARANCE - self._clearance()
+            mujoco.mj_forward(model, data)
+        data.ctrl[:] = self._default - self._bias
+        self._steps_done = 0
+        self._underway: deque[tuple[int, Array]] = deque()  # targets, each with the physics step of its effect
         self._take_state()
+
+    def _clearance(self) -> float:
+        """Height of the lowest corner of the feet's bounding boxes above the ground, m."""
+        lowest = math.inf
+        for geom in self._foot_of_geom:
+            centre, half = self.model.geom_aabb[geom].reshape(2, 3)
+            corners = self.data.geom_xpos[geom] + (centre + half * CORNERS) @ self.data.geom_xmat[geom].reshape(3, 3).T
+            lowest = min(lowest, *(z - self.ground(x, y) for x, y, z in corners))
+        return lowest
 
     def step(self, target: Array) -> None:
         """Advances by one control step with joint targets `target` [J], rad."""
-        self.data.ctrl[:] = target
-        mujoco.mj_step(self.model, self.data, self._contract.decimation - 1)
-        # The contract's observations belong to the last computed forces: one physics step before the new targets.
-        self._take_state()
-        mujoco.mj_step(self.model, self.data)
+        # The motors compare targets with encoders.
+        self._underway.append((self._steps_done + self._delay, target - self._bias))
+        for done in range(self._decimation):
+            while self._underway and self._underway[0][0] <= self._steps_done:
+                self.data.ctrl[:] = self._underway.popleft()[1]
+            if done == self._seen_after:
+                self._take_state()
+            mujoco.mj_step(self.model, self.data)
+            self._steps_done += 1
+            if done == self._seen_after and self._seen_part:
+                self._take_state_between(self._seen_part)
+
+    def push(self, velocity_w: Array) -> None:
+        """Adds a velocity [3], m/s, to the whole robot."""
+        self.data.qvel[self._free_vel : self._free_vel + 3] += velocity_w
 
     def _take_state(self) -> None:
         self._seen_pos, self._seen_vel = self.data.qpos.copy(), self.data.qvel.copy()
 
+    def _take_state_between(self, part: float) -> None:
+        """Moves the seen state by this part of the way to the present one."""
+        way = np.zeros(self.model.nv)
+        mujoco.mj_differentiatePos(self.model, way, 1.0, self._seen_pos, self.data.qpos)
+        mujoco.mj_integratePos(self.model, self._seen_pos, way, part)
+        self._seen_vel += part * (self.data.qvel - self._seen_vel)
+
     def measured(self, command: Array, last_action: Array) -> Measured:
         """Returns the measurements of the instant that the contract prescribes."""
         i, j = self._free_pos, self._free_vel
+        quat, ang_vel = self._seen_pos[i + 3 : i + 7], self._seen_vel[j + 3 : j + 6]
+        if self._imu_quat is not None:
+            true_quat, true_ang_vel, back = quat, ang_vel, np.zeros(4)
+            quat, ang_vel = np.zeros(4), np.zeros(3)
+            mujoco.mju_mulQuat(quat, true_quat, self._imu_quat)
+            mujoco.mju_negQuat(back, self._imu_quat)
+            mujoco.mju_rotVecQuat(ang_vel, true_ang_vel, back)
         return Measured(
-            root_quat_w=self._seen_pos[i + 3 : i + 7],
-            root_ang_vel_b=self._seen_vel[j + 3 : j + 6],  # MuJoCo keeps a free joint's rotation in its body's frame
-            joint_pos_rel=self._seen_pos[self._qpos] - self._default,
+            root_quat_w=quat,
+            root_ang_vel_b=ang_vel,  # MuJoCo keeps a free joint's rotation in its body's frame
+            joint_pos_rel=self._seen_pos[self._qpos] - self._default + self._bias,
             joint_vel=self._seen_vel[self._qvel],
             command=command,
             last_action=last_action,
@@ -130,9 +232,9 @@ class World:
         w, x, y, z = self._seen_pos[self._free_pos + 3 : self._free_pos + 7]
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
-    def ground(self, x: float) -> float:
-        """Returns the height of the ground at x, m."""
-        return math.tan(self.grade) * max(x - RUN_UP, 0.0)
+    def ground(self, x: float, y: float = 0.0) -> float:
+        """Returns the height of the ground at x and y, m."""
+        return math.tan(self.grade) * max(x - RUN_UP, 0.0) + math.tan(self.cross) * y
 
     def along(self, x: float) -> float:
         """Returns the distance along the ground from the origin to x, m."""
@@ -155,10 +257,10 @@ class World:
         bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
         if any(warnings[kind].number for kind in (*bad, mujoco.mjtWarning.mjWARN_BADCTRL)):
             return True
-        x, _, z = self.root_pos
+        x, y, z = self.root_pos
         _, qx, qy, _ = self._seen_pos[self._free_pos + 3 : self._free_pos + 7]
         upright = 1.0 - 2.0 * (qx * qx + qy * qy)
-        too_low = fall.root_height_below_m is not None and z - self.ground(x) < fall.root_height_below_m
+        too_low = fall.root_height_below_m is not None and z - self.ground(x, y) < fall.root_height_below_m
         tilted = fall.tilt_above_deg is not None and upright < math.cos(math.radians(fall.tilt_above_deg))
         return bool(too_low or tilted)
 
@@ -169,6 +271,51 @@ def _load(path: Path, sha256: str | None) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_string(content.decode("utf-8"))
     except ValueError as error:
         raise UserError(f"'{path}' is no MuJoCo model: {_line(error)}.") from None
+
+
+def _other_robot(
+    path: Path, own: mujoco.MjSpec, own_feet: Sequence[Any], contract: Contract
+) -> tuple[mujoco.MjSpec, list[Any]]:
+    """Loads another robot model, without what the export brings along; returns it with the geoms of its feet.
+
+    Its feet are the geoms that collide of the bodies that have the same names as the export's.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise UserError(f"'{path}' is no MuJoCo model: {_line(error)}.") from None
+    # A floating base counts as no joint here: it is checked for by itself, and may have any name.
+    have = {joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE}
+    want = {joint.name for joint in contract.joints}
+    if have != want:
+        differences = [
+            f"{verb} {', '.join(repr(name) for name in sorted(names)[:3])}{f' and {n - 3} more' if n > 3 else ''}"
+            for verb, names in (("lacks", want - have), ("adds", have - want))
+            if (n := len(names))
+        ]
+        raise UserError(f"the joints of robot model '{path}' are not the policy's: it {' and '.join(differences)}.")
+    for element in (*spec.sensors, *spec.actuators, *spec.keys, *spec.worldbody.geoms):
+        spec.delete(element)
+    for name in PHYSICS:
+        setattr(spec.option, name, getattr(own.option, name))
+    feet = []
+    for body in dict.fromkeys(foot.parent.name for foot in own_feet):
+        geoms = _named(spec.body(body), "body", body, spec.bodies).geoms
+        solid = [geom for geom in geoms if geom.contype or geom.conaffinity]
+        if not solid:
+            raise UserError(f"body '{body}' of robot model '{path}' has no geom that collides, so it is no foot.")
+        feet += solid
+    for i, foot in enumerate(feet):
+        foot.name = foot.name or f"foot_geom_{i}"
+        foot.priority, foot.condim = own_feet[0].priority, own_feet[0].condim  # its friction is the contact's
+    return spec, feet
+
+
+def _encoder_bias(contract: Contract, conditions: Conditions) -> Array:
+    bias, joints = conditions.encoder_bias_rad, len(contract.joints)
+    if bias and len(bias) != joints:
+        raise UserError(f"conditions: encoder_bias_rad has {len(bias)} entries for {joints} joints.")
+    return np.array(bias or [0.0] * joints)
 
 
 def _line(error: Exception) -> str:
@@ -182,8 +329,8 @@ def _named(element: Any, kind: str, name: str, known: Iterable[Any]) -> Any:
     return element
 
 
-def _add_drives(spec: mujoco.MjSpec, contract: Contract) -> None:
-    """Adds position actuators with the contract's gains and limits, in its order.
+def _add_drives(spec: mujoco.MjSpec, contract: Contract, strength: float) -> None:
+    """Adds position actuators with the contract's gains and limits times `strength`, in its order.
 
     Their force is the contract's torque. MuJoCo integrates the damping implicitly, at the end of a step, as in
     training; at 5 ms that slows the joints a little. With torques computed outside, at the start of a step, or with a
@@ -196,16 +343,16 @@ def _add_drives(spec: mujoco.MjSpec, contract: Contract) -> None:
             target=joint.name,
             trntype=mujoco.mjtTrn.mjTRN_JOINT,
             gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-            gainprm=[joint.stiffness_nm_rad] + [0.0] * 9,
+            gainprm=[strength * joint.stiffness_nm_rad] + [0.0] * 9,
             biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            biasprm=[0.0, -joint.stiffness_nm_rad, -joint.damping_nms_rad] + [0.0] * 7,
+            biasprm=[0.0, -strength * joint.stiffness_nm_rad, -strength * joint.damping_nms_rad] + [0.0] * 7,
             forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
-            forcerange=[-joint.effort_limit_nm, joint.effort_limit_nm],
+            forcerange=[-strength * joint.effort_limit_nm, strength * joint.effort_limit_nm],
         )
 
 
-def _add_ground(spec: mujoco.MjSpec, grade: float, length: float) -> None:
-    """Adds a plane, or a level slab up to `RUN_UP` and a tilted one from there."""
+def _add_ground(spec: mujoco.MjSpec, grade: float, length: float, cross: float) -> None:
+    """Adds a plane that may rise to the left, or a level slab up to `RUN_UP` and a tilted one from there."""
     texture = spec.add_texture(
         name=GROUND,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -220,7 +367,8 @@ def _add_ground(spec: mujoco.MjSpec, grade: float, length: float) -> None:
     spec.worldbody.add_light(pos=[0.0, 0.0, 10.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     shared = {"contype": 1, "conaffinity": 1, "condim": 3, "material": GROUND}
     if grade == 0.0:
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **shared)
+        roll = [math.cos(0.5 * cross), math.sin(0.5 * cross), 0.0, 0.0]
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], quat=roll, **shared)
         return
     box, half = mujoco.mjtGeom.mjGEOM_BOX, 0.5 * (BEHIND + RUN_UP)
     spec.worldbody.add_geom(

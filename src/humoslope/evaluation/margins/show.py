@@ -1,0 +1,63 @@
+"""Table and figure of a certificate, from its report."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from humoslope.plotting import INK, dress, new_figure, save_figure
+
+COLUMNS = 4
+
+
+def table(report: dict[str, Any]) -> Table:
+    """The limits of all quantities."""
+    result = Table(
+        title="Margins", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False, caption=f"success: {report['success']}"
+    )
+    for column in ("quantity", "unit", "nominal", "holds to", "at least", "fails at", "passed", "falls"):
+        result.add_column(column, justify="left" if column in ("quantity", "unit") else "right", no_wrap=True)
+    for name, found in report["quantities"].items():
+        tested = {series["value"]: series for series in found["tested"]}
+        at_limit = tested.get(found["limit"], report["reference"])
+        failed = tested.get(found["first_failing"])
+        result.add_row(
+            name if found["monotone"] else f"{name} (*)",
+            found["unit"],
+            f"{found['nominal']:.4g}",
+            f"{found['limit']:.4g}" + ("" if failed else " (end)"),
+            f"{100.0 * at_limit['share_at_least']:.1f} %",
+            *(
+                (f"{failed['value']:.4g}", f"{failed['successes']}/{failed['trials']}", str(failed["falls"]))
+                if failed
+                else ("-", "-", "-")
+            ),
+        )
+    if not all(found["monotone"] for found in report["quantities"].values()):
+        result.caption = f"{result.caption}; (*) a value beyond the first failing one held again"
+    return result
+
+
+def draw(report: dict[str, Any], path: Path) -> None:
+    """Draws for every quantity the share of successes over its values, and its limit."""
+    found = report["quantities"]
+    rows = math.ceil(len(found) / COLUMNS)
+    figure = new_figure(3.0 * COLUMNS, 0.6 + 2.2 * rows, f"Margins of {report['policy']['task']}")
+    for i, (name, quantity) in enumerate(found.items()):
+        axis = figure.add_subplot(rows, COLUMNS, i + 1)
+        dress(axis)
+        axis.axvspan(quantity["nominal"], quantity["limit"], color="tab:green", alpha=0.15)
+        axis.axhline(100.0 * report["rule"]["share"], color="0.6", linewidth=0.8)
+        reference = report["reference"] | {"value": quantity["nominal"]}
+        for series in (reference, *quantity["tested"]):
+            share = 100.0 * series["successes"] / series["trials"]
+            axis.plot(series["value"], share, "o", markersize=4, color="tab:green" if series["holds"] else "tab:red")
+        axis.set_ylim(-5.0, 105.0)
+        axis.set_title(f"{name} [{quantity['unit']}]", fontsize=9, color=INK)
+        if i % COLUMNS == 0:
+            axis.set_ylabel("success, %", fontsize=8, color=INK)
+    save_figure(figure, path)

@@ -1,0 +1,49 @@
+"""Grids begin at the nominal setup and change one thing only; success is what it is said to be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from humoslope.deploy import contract as contracts
+from humoslope.deploy.player import Trial, TrialCfg
+from humoslope.evaluation.margins.quantities import Name, Setup, Success, quantities
+
+GOOD = Trial(False, 20.0, 9.0, 0.5, 9.0, 0.5, 3.0, 0.0, 0.5, 0.0)
+
+
+def test_every_quantity_begins_at_the_nominal_value_and_changes_its_own_field_only(exported: Path) -> None:
+    contract, nominal = contracts.read(exported), TrialCfg()
+    known = quantities(contract, nominal)
+    assert tuple(known) == get_args(Name)
+    for name, quantity in known.items():
+        grid = quantity.grid
+        assert len(set(grid)) == len(grid) > 2
+        assert list(grid) in (sorted(grid), sorted(grid, reverse=True))
+        changed = set()
+        for value in grid[1:]:
+            setup = quantity.setup(Setup(nominal), value, 0, np.random.default_rng(0))
+            for now, before in ((setup.cfg, nominal), (setup.conditions, Setup(nominal).conditions)):
+                changed |= {field for field, x in asdict(now).items() if x != asdict(before)[field]}
+        assert len(changed) == 1, name
+    for name in ("timestep-fine", "timestep-coarse"):
+        for value in known[name].grid:  # type: ignore[index]
+            assert 20.0 / value == pytest.approx(round(20.0 / value))
+    tilted = known["imu-tilt"].setup(Setup(nominal), 4.0, 0, np.random.default_rng(0)).conditions.imu_tilt_rad
+    assert math.hypot(*tilted) == pytest.approx(math.radians(4.0))
+
+
+def test_success_is_no_fall_the_speed_asked_and_the_course_kept() -> None:
+    success, straight, turning = Success(), TrialCfg(), TrialCfg(yaw_rate=0.6)
+    assert success(GOOD, straight)
+    for wrong in ({"fell": True}, {"speed": 0.34}, {"speed": math.nan}, {"lateral_speed": -0.11}):
+        assert not success(replace(GOOD, **wrong), straight)
+    circling = replace(GOOD, speed=0.0, yaw_rate=0.55)
+    assert success(circling, turning)
+    assert not success(circling, replace(turning, yaw_rate=-0.6))
+    assert not success(replace(circling, heading_speed=0.7), turning)
