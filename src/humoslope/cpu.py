@@ -1,4 +1,4 @@
-"""Processors and threads."""
+"""Processors and threads. torch is imported only where it is asked, since exports run without it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import functools
 import os
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
-
-import torch
 
 
 def usable_cores() -> int:
@@ -27,6 +25,8 @@ def thread_advice() -> str | None:
     """
     if os.environ.get("OMP_NUM_THREADS") or not hasattr(os, "getloadavg"):
         return None
+    import torch
+
     load, cores, threads = os.getloadavg()[0], os.cpu_count() or 1, torch.get_num_threads()
     idle = max(round(cores - load), 1)
     if threads <= idle:
@@ -46,6 +46,7 @@ def on_one_thread(function: Callable[P, R]) -> Callable[P, R]:
 
     For many operations on small tensors: waking a second thread takes longer than the work that it takes over.
     """
+    import torch
 
     @functools.wraps(function)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:

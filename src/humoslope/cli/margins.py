@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import shlex
 from pathlib import Path
 from typing import Annotated, get_args
@@ -13,6 +12,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from humoslope.cpu import usable_cores
 from humoslope.deploy.conditions import NOMINAL
 from humoslope.deploy.player import TrialCfg
 from humoslope.errors import UserError
@@ -89,7 +89,7 @@ def run(arguments: list[str]) -> None:
         bar = progress.add_task("", total=None)
         finished = certificate.run(
             interrupt,
-            options.processes or _usable_cores(),
+            options.processes or usable_cores(),
             lambda done, left: progress.update(bar, completed=done, total=done + left),
         )
     if not finished:
@@ -101,8 +101,3 @@ def run(arguments: list[str]) -> None:
     write_text(json_path, json.dumps(report, indent=2, allow_nan=False) + "\n")
     show.draw(report, figure_path)
     console.print(f"wrote {json_path} and {figure_path}", soft_wrap=True)
-
-
-def _usable_cores() -> int:
-    """Number of CPUs left to this process; `humoslope.cpu` knows it too, but imports torch."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -17,7 +17,7 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol
 from humoslope.learning import checkpoint as checkpoints
 from humoslope.learning.configuration import changes_since, trained_cfg
-from humoslope.learning.policy import Provenance, find_checkpoint, read_provenance, spec_of
+from humoslope.learning.policy import Provenance, find_checkpoint, provenance_of, spec_of
 from humoslope.provenance import git_state, plain
 from humoslope.registry import TaskCfg, load_content
 
@@ -35,7 +35,8 @@ def trained(checkpoint: Path) -> tuple[Provenance, TaskCfg]:
     """
     load_content()
     path = find_checkpoint(checkpoint)
-    provenance, state = read_provenance(path), checkpoints.load(path)
+    state = checkpoints.load(path)
+    provenance = provenance_of(path, state)
     if state["config"] is None:
         return provenance, configuration_of(path, provenance.task)
     cfg = trained_cfg(path, state)

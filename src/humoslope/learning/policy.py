@@ -170,7 +170,7 @@ def read_provenance(path: Path, task: str | None = None) -> Provenance:
     Raises:
         UserError: If it is no checkpoint, or of another task.
     """
-    return _of_file(path, checkpoint.load(path, task))
+    return provenance_of(path, checkpoint.load(path, task))
 
 
 def read_spec(path: Path) -> PolicySpec:
@@ -201,7 +201,7 @@ def load_actor(path: Path, env: ManagerBasedRlEnv, task: str | None = None) -> A
     spec.check_fits(env, path)
     module = spec.build(env.device)
     load_weights(module, state, path)
-    return Actor(module.eval(), spec, _of_file(path, state))
+    return Actor(module.eval(), spec, provenance_of(path, state))
 
 
 def load_weights(module: torch.nn.Module, state: Mapping[str, Any], path: Path) -> None:
@@ -232,7 +232,8 @@ def spec_state(spec: PolicySpec) -> dict[str, Any]:
     return asdict(spec)
 
 
-def _of_file(path: Path, state: Mapping[str, Any]) -> Provenance:
+def provenance_of(path: Path, state: Mapping[str, Any]) -> Provenance:
+    """The origin of a checkpoint that was loaded from `path`."""
     return _provenance(
         {**state, "path": path, "sha256": checkpoint.digest(path), "curriculum": state["env"]["curriculum"]}
     )
