@@ -6,18 +6,21 @@ from humoslope.terrain import TerrainGridCfg
 
 
 def stage1() -> TerrainGridCfg:
-    """Ramps up and ramps down, a quarter each; the rest is flat, wavy and rough ground and rough slopes.
+    """Hillsides for all directions, nearly half; ramps up and down; and flat, wavy and rough ground and rough slopes.
 
     Banked and striped ground is left to Stage II, since a column, a twentieth, would cost as much as a rough slope.
     """
     return TerrainGridCfg(
         columns={
-            "flat": 0.15,
-            "ramp-up": 0.25,
-            "ramp-down": 0.25,
-            "rough-ramp-up": 0.075,
-            "rough-ramp-down": 0.075,
-            "wave": 0.1,
-            "rough": 0.1,
-        }
+            "hillside": 0.35,
+            "rough-hillside": 0.1,
+            "flat": 0.05,
+            "ramp-up": 0.15,
+            "ramp-down": 0.15,
+            "rough-ramp-up": 0.05,
+            "rough-ramp-down": 0.05,
+            "wave": 0.05,
+            "rough": 0.05,
+        },
+        tile_width=8.0,
     )

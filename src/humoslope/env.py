@@ -266,7 +266,8 @@ class ManagerBasedRlEnv:
         self.log.add("Train/episode_length", self.steps_since_reset, done)
         self.log.add("Train/diverged", self.diverged)
         self.log.add("Train/falls_per_second", terminated / self.step_dt)
-        self.log.add("Train/speed", self.signals.root_lin_vel_t[:, 0], self.commands.moving)
+        asked, walked = self.commands.asked_and_walked()
+        self.log.add("Train/speed", walked, asked > 0.0)
         self.observers.step()
 
         self.events.step()

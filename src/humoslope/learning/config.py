@@ -81,6 +81,8 @@ class PpoCfg(AgentCfg):
         clip_param: Largest change of an action's probability ratio, and of a value, that is rewarded.
         value_loss_coef: Weight of the value loss.
         entropy_coef: Weight of the entropy bonus (ours: 0.003; Unitree RL Lab has 0.01).
+        final_entropy_coef: Weight of the entropy bonus in the last iteration, to which it falls linearly, so that noise
+            does not become part of the gait (ours); the same throughout if None.
         max_grad_norm: Norm that gradients are clipped to.
         torch_compile: Compile actor and critic.
         mixed_precision: Run the update in bfloat16; pays on GPUs and on CPUs with bfloat16 instructions.
@@ -100,6 +102,7 @@ class PpoCfg(AgentCfg):
     clip_param: float = 0.2
     value_loss_coef: float = 1.0
     entropy_coef: float = 0.003
+    final_entropy_coef: float | None = None
     max_grad_norm: float = 1.0
     torch_compile: bool = False
     mixed_precision: bool = False
@@ -124,8 +127,8 @@ class PpoCfg(AgentCfg):
         for name in ("init_std", "learning_rate", "desired_kl", "clip_param", "max_grad_norm"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise UserError(f"agent.{name} {getattr(self, name)} must be positive.")
-        for name in ("value_loss_coef", "entropy_coef"):
-            if not 0.0 <= getattr(self, name) < math.inf:
+        for name in ("value_loss_coef", "entropy_coef", "final_entropy_coef"):
+            if getattr(self, name) is not None and not 0.0 <= getattr(self, name) < math.inf:
                 raise UserError(f"agent.{name} {getattr(self, name)} must be 0 or more.")
         for name in ("gamma", "lam"):
             if not 0.0 <= getattr(self, name) <= 1.0:

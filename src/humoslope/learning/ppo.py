@@ -61,8 +61,12 @@ class PpoLearner(OnPolicyRunner):
         self.alg.train_mode()
 
     def begin(self, iteration: int) -> None:
-        """Decides whether the actor learns in this iteration. Its normaliser learns in any case."""
-        warmup = self._agent.critic_warmup_iterations
+        """Sets the entropy bonus, and whether the actor learns in this iteration. Its normaliser learns in any case."""
+        agent = self._agent
+        if agent.final_entropy_coef is not None:
+            share = min(1.0, iteration / max(1, agent.max_iterations - 1))
+            self.alg.entropy_coef = agent.entropy_coef + share * (agent.final_entropy_coef - agent.entropy_coef)
+        warmup = agent.critic_warmup_iterations
         self.alg.hold_actor(iteration < warmup)
         if iteration == warmup > 0:
             self.alg.learning_rate = RELEASE_RATE

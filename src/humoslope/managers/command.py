@@ -128,6 +128,16 @@ class CommandManager:
         """The envs [N] that are commanded to move."""
         return ~self._stands
 
+    def asked_and_walked(self) -> tuple[Tensor, Tensor]:
+        """Commanded speed along the ground, whatever its direction, and the root's speed in that direction; [N], m/s.
+
+        Both are zero in envs that are commanded to stand or to turn in place.
+        """
+        asked = self.velocity[:, :2]
+        speed = asked.norm(dim=1)
+        along = (self._env.signals.root_lin_vel_t[:, :2] * asked).sum(dim=1)
+        return speed, along / speed.clamp(min=1e-6)
+
     def reset(self, mask: Tensor) -> None:
         """Draws new commands for the envs in `mask` [N]."""
         self._steer(self._draw(mask))

@@ -10,7 +10,7 @@ import torch
 from rich.table import Table
 from torch import Tensor
 
-from humoslope.errors import UserError
+from humoslope.errors import UserError, unknown
 from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind, first_value
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ class RewardManager:
         self._curves = tuple(f"Reward/{name}" for name in terms)
         self._calls = [self._stateful.keep(bind("reward", name, term, env)) for name, term in terms.items()]
         self._weights = torch.tensor([term.weight for term in terms.values()], device=env.device)  # [T]
+        self._strength = torch.ones_like(self._weights)  # [T]
         self._sums = env.zeros(len(terms))  # [N, T] over the episode
         self._seconds = env.zeros()  # [N] duration of the sums
         self._watched = env.finite.watch({f"reward '{name}'": 1 for name in terms})
@@ -68,7 +69,8 @@ class RewardManager:
         """
         if not self._calls:  # as in an evaluation
             return self._env.zeros()
-        values = torch.stack([call(self._env) for call in self._calls], dim=1) * self._weights  # [N, T] per second
+        values = torch.stack([call(self._env) for call in self._calls], dim=1)
+        values = values * (self._weights * self._strength)  # [N, T] per second
         if diverged is not None:
             values = values.masked_fill(diverged[:, None], 0.0)
         self._watched.add(values, self._env.finite.step)
@@ -76,6 +78,16 @@ class RewardManager:
         self._sums = torch.add(self._sums, values, alpha=dt)
         self._seconds += dt
         return values.sum(dim=1) * dt
+
+    def set_strength(self, name: str, share: Tensor) -> None:
+        """Lets the term called `name` count by a share of its weight (a scalar tensor) from now on; for curricula.
+
+        Raises:
+            UserError: If there is no such term.
+        """
+        if name not in self.names:
+            raise unknown("reward", name, self.names)
+        self._strength[self.names.index(name)] = share
 
     def reset(self, mask: Tensor) -> None:
         """Logs and clears the episode sums of the envs in `mask` [N], as reward per second."""

@@ -209,7 +209,7 @@ class Stride(StatefulTerm):
         self._length = torch.where(landed, apart, self._length)
         self._age = (self._age + 1.0).masked_fill(landed, 0.0)
         longest = bsga.longest_step(
-            env.commands.velocity[:, 0], self._cue.rho(env), self._step_time, self._margin, self._shortening
+            env.commands.velocity[:, 0].abs(), self._cue.rho(env), self._step_time, self._margin, self._shortening
         )
         short = bsga.stride_reward(self._length, longest, env.height_scan.descriptor.down, self._std)
         return short * (self._age <= self._hold) * self._cue.progress(env)

@@ -47,17 +47,17 @@ class SlopeGait(StatefulTerm):
     def __init__(self, env: Env, full_slope: Positive = bsga.FULL_SLOPE, memory_s: Positive = MEMORY) -> None:
         self._full_slope = full_slope
         self.gain = 1.0 - math.exp(-env.step_dt / memory_s)
-        self._speed = env.zeros()  # [N] m/s
+        self._velocity = env.zeros(2)  # [N, 2] m/s along the ground, forward and left
         self._seen: Tensor | None = None  # velocity of the step that the cue was computed for, new in every step
 
     def __call__(self, env: Env) -> None:
         self._compute(env)
 
     def progress(self, env: Env) -> Tensor:
-        """Gate of every BSGA term: share of the commanded forward speed that is walked, [N] in [0, 1].
+        """Gate of every BSGA term: share of the commanded speed that is walked in its direction, [N] in [0, 1].
 
-        The speed along the ground is averaged, so that swaying on the spot is no progress. It is 0 in envs that are
-        commanded to stand, to step aside or to walk backwards.
+        The velocity along the ground is averaged, so that swaying on the spot is no progress. It is 0 in envs that are
+        commanded to stand or to turn in place.
         """
         self._compute(env)
         return self._progress
@@ -72,13 +72,13 @@ class SlopeGait(StatefulTerm):
         if self._seen is velocity:
             return
         self._seen = velocity
-        self._speed = torch.lerp(self._speed, velocity[:, 0], self.gain)
-        self._progress = bsga.progress(self._speed, env.commands.velocity[:, 0], bsga.LEAST_SPEED)
+        self._velocity = torch.lerp(self._velocity, velocity[:, :2], self.gain)
+        self._progress = bsga.progress(self._velocity, env.commands.velocity[:, :2], bsga.LEAST_SPEED)
         self._rho = bsga.slope_intensity(env.height_scan.descriptor.slope, self._full_slope)
 
     def reset(self, mask: Tensor) -> None:
         """Clears the average of the envs in `mask`."""
-        self._speed = self._speed.masked_fill(mask, 0.0)
+        self._velocity = self._velocity.masked_fill(mask[:, None], 0.0)
         self._seen = None
 
 

@@ -12,7 +12,7 @@ from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp.room import check_room
 from humoslope.mdp.selection import Body, body_id
 from humoslope.mdp.soles import Soles
-from humoslope.ranges import NotNegative, NotNegativeSpan, Span
+from humoslope.ranges import NotNegative, NotNegativeSpan, Share, Span
 from humoslope.sim.fields import replace
 from humoslope.slope import quaternion
 
@@ -85,14 +85,18 @@ def reset_joints(env: Env, mask: Tensor, position: Span, velocity: Span) -> None
     env.start_qvel[:, 6:] = env.uniform(*velocity, env.robot.num_joints)
 
 
-def push(env: Env, mask: Tensor, speed: NotNegative) -> None:
+def push(env: Env, mask: Tensor, speed: NotNegative, harness: str = "", harnessed: Share = 0.4) -> None:
     """Changes the root's horizontal velocity at once.
 
     Args:
         speed: Largest change along world x and along world y, m/s.
+        harness: Name of the `Harness` event: pushes grow as it is withdrawn. Empty for full pushes from the start.
+        harnessed: Share of `speed` in the full harness.
     """
     qvel = env.sim.state("qvel")
     kick = env.uniform(-speed, speed, 2)
+    if harness:
+        kick = kick * (1.0 - (1.0 - harnessed) * env.events[harness].scale)
     replace(qvel[:, :2], mask, qvel[:, :2] + kick)
 
 

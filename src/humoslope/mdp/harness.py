@@ -12,7 +12,7 @@ import mujoco
 import torch
 from torch import Tensor
 
-from humoslope.errors import UserError, require_not_negative, require_positive
+from humoslope.errors import UserError, require_not_negative, require_positive, unknown
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.managers.terms import StatefulTerm
 from humoslope.ranges import NotNegative
@@ -108,17 +108,6 @@ class _Chain:
         return rotation[:, :, 2], ang_vel
 
 
-def commanded_and_walked(env: Env) -> tuple[Tensor, Tensor]:
-    """Commanded speed along the ground, whatever its direction, and speed of the root in that direction; [N] each, m/s.
-
-    Both are zero in envs that are commanded to stand.
-    """
-    command = env.commands.velocity[:, :2]  # [N, 2] forward and left
-    speed = command.norm(dim=1)
-    along = (env.signals.root_lin_vel_t[:, :2] * command).sum(dim=1)
-    return speed, along / speed.clamp(min=1e-6)
-
-
 class HarnessCurriculum(CurriculumTerm):
     """Curriculum: the harness is withdrawn while the robots hardly fall and really walk.
 
@@ -160,7 +149,7 @@ class HarnessCurriculum(CurriculumTerm):
     def step(self, env: Env) -> Tensor:
         """Withdraws a little where it is deserved; returns the scale."""
         falls = env.terminations.terminated.mean(dtype=torch.float32) / env.step_dt
-        commanded, walked = (speed.sum() for speed in commanded_and_walked(env))
+        commanded, walked = (speed.sum() for speed in env.commands.asked_and_walked())
         # Where every robot is commanded to stand, nothing is learnt about walking.
         share = torch.where(commanded > 0.0, walked / commanded, self._speed)
         self._falls = torch.lerp(falls, self._falls, self._keep)
@@ -183,3 +172,31 @@ class HarnessCurriculum(CurriculumTerm):
         """Withdraws the harness of all processes alike, by their mean fall rate and speed."""
         self._falls, self._speed = mean(self._falls), mean(self._speed)
         self._harness.scale = mean(self._harness.scale)
+
+
+class StrengthenRewards(CurriculumTerm):
+    """Curriculum: some rewards count in full only when the harness is gone, by 1 less its scale.
+
+    Prices of steps and of restless actions belong here: paid from the start, they would make standing still the best
+    that a robot can do before it has learnt to walk.
+
+    Args:
+        rewards: Names of the rewards.
+        event: Name of the `Harness` event.
+    """
+
+    def __init__(self, env: Env, rewards: tuple[str, ...], event: str = "harness") -> None:
+        harness = env.events[event]
+        if not isinstance(harness, Harness):
+            raise UserError(f"event '{event}' is not a Harness.")
+        for name in rewards:
+            if name not in env.cfg.rewards:
+                raise unknown("reward", name, env.cfg.rewards)
+        self._harness, self._rewards = harness, rewards
+
+    def step(self, env: Env) -> Tensor:
+        """Sets the strengths; returns it."""
+        strength = 1.0 - self._harness.scale
+        for name in self._rewards:
+            env.rewards.set_strength(name, strength)
+        return strength

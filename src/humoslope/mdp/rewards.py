@@ -13,7 +13,7 @@ from torch import Tensor
 
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp.rate import RateOfChange
-from humoslope.mdp.selection import Joints, joint_mask
+from humoslope.mdp.selection import JointPair, Joints, joint_mask, joint_pair
 from humoslope.ranges import NotNegative, Positive, Range, Share
 
 if TYPE_CHECKING:
@@ -108,6 +108,25 @@ def action_rate_l2(env: Env) -> Tensor:
     return (env.actions.action - env.actions.previous_action).square().sum(dim=1)
 
 
+class ActionAccelerationL2(StatefulTerm):
+    """Squared second difference of the action over three steps, summed.
+
+    It costs what changes direction in every step, which is chatter, four times as much as what `action_rate_l2` does.
+    """
+
+    def __init__(self, env: Env) -> None:
+        self._change = env.zeros(env.robot.num_joints)  # [N, J] of the step before
+
+    def __call__(self, env: Env) -> Tensor:
+        change = env.actions.action - env.actions.previous_action
+        acceleration, self._change = change - self._change, change
+        return acceleration.square().sum(dim=1)
+
+    def reset(self, mask: Tensor) -> None:
+        """Forgets the change of the envs in `mask`."""
+        self._change = self._change.masked_fill(mask[:, None], 0.0)
+
+
 def joint_pos_limits(env: Env, soft: Annotated[float, Range(0.0, 1.0, open_low=True)]) -> Tensor:
     """Distance of the joints beyond the middle share of their range, summed, rad.
 
@@ -133,6 +152,16 @@ def joint_deviation_l1(env: Env, joints: Joints) -> Tensor:
         joints: Regular expression on whole joint names.
     """
     return (env.signals.joint_pos - env.default_joint_pos).abs() @ joint_mask(env.robot, joints, env.device)
+
+
+def knee_flexion_l1(env: Env, free: NotNegative, knees: JointPair = ".*_knee_joint") -> Tensor:
+    """Flexion of the knees beyond what is free, mean of both, rad: a straighter leg carries with less torque.
+
+    Args:
+        free: Flexion without cost, rad.
+        knees: Joint pattern.
+    """
+    return (env.signals.joint_pos[:, joint_pair(env.robot, knees)] - free).relu().mean(dim=1)
 
 
 def foot_slide(env: Env) -> Tensor:
@@ -172,28 +201,60 @@ def self_contact(env: Env, force: NotNegative) -> Tensor:
 
 
 class SingleStance(StatefulTerm):
-    """Reward for time on one leg, so that the robot steps without a prescribed clock.
+    """Reward for time on one leg, so that the robot steps without a prescribed clock, and unhurriedly.
 
-    The value is the time since a foot last landed or lifted, the shorter one of the two feet, as a share of `cap` and
-    at most 1. It is 0 unless exactly one foot is down, and in envs that are commanded to stand.
+    The value is the time since a foot last landed, as a share of `cap` and at most 1. It counts while exactly one foot
+    is down, and for `transfer` seconds after a landing with both, so that the weight may pass from leg to leg. It is 0
+    in envs that are commanded to stand.
 
     Args:
         cap: Time from which the reward is full, s.
+        transfer: Time after a landing for which both feet may be down, s.
     """
 
-    def __init__(self, env: Env, cap: Positive) -> None:
-        self._cap = cap
-        self._contact = env.signals.foot_contact
-        self._steps_in_mode = env.zeros(2)  # [N, 2] control steps since the foot last landed or lifted
+    def __init__(self, env: Env, cap: Positive, transfer: NotNegative = 0.0) -> None:
+        self._cap, self._transfer = cap, transfer
+        self._landings = _Landings(env)
+        self._since = env.zeros()  # [N] s since a foot last landed
 
     def __call__(self, env: Env) -> Tensor:
-        contact = env.signals.foot_contact
-        changed = contact != self._contact
-        self._steps_in_mode = (self._steps_in_mode + 1.0).masked_fill(changed, 0.0)
-        self._contact = contact
-        single = (contact[:, 0] != contact[:, 1]) & env.commands.moving
-        return (self._steps_in_mode.amin(dim=1) * (env.step_dt / self._cap)).clamp(max=1.0) * single
+        landed = self._landings(env).any(dim=1)
+        self._since = (self._since + env.step_dt).masked_fill(landed, 0.0)
+        down = env.signals.foot_contact.sum(dim=1)
+        counts = (down == 1) | ((down == 2) & (self._since < self._transfer))
+        return (self._since / self._cap).clamp(max=1.0) * (counts & env.commands.moving)
 
     def reset(self, mask: Tensor) -> None:
         """Sets the times of the envs in `mask` to zero."""
-        self._steps_in_mode = self._steps_in_mode.masked_fill(mask[:, None], 0.0)
+        self._landings.reset(mask)
+        self._since = self._since.masked_fill(mask, 0.0)
+
+
+class LandingRate(StatefulTerm):
+    """Landings of feet per second: a price on every step, so that few long ones are better than many short ones."""
+
+    def __init__(self, env: Env) -> None:
+        self._landings = _Landings(env)
+
+    def __call__(self, env: Env) -> Tensor:
+        return self._landings(env).sum(dim=1) / env.step_dt
+
+    def reset(self, mask: Tensor) -> None:
+        """Forgets the contacts of the envs in `mask`."""
+        self._landings.reset(mask)
+
+
+class _Landings:
+    """Feet that touch the ground and did not one step before; none in the first step of an episode."""
+
+    def __init__(self, env: Env) -> None:
+        self._before = torch.ones_like(env.signals.foot_contact)
+
+    def __call__(self, env: Env) -> Tensor:
+        """[N, 2] bool."""
+        contact = env.signals.foot_contact
+        landed, self._before = contact & ~self._before, contact
+        return landed
+
+    def reset(self, mask: Tensor) -> None:
+        self._before = self._before | mask[:, None]

@@ -101,17 +101,20 @@ def branch_weights(
     return BranchWeights(com=w_com, hip=up, brake=down * lambda_brake, stride=down * lambda_stride, swing=w_swing)
 
 
-def progress(speed: Tensor, asked: Tensor, least: float) -> Tensor:
-    """Gate of all terms: share of the commanded forward speed that is walked, in [0, 1]; zero where none is commanded.
+def progress(velocity: Tensor, asked: Tensor, least: float) -> Tensor:
+    """Gate of all terms: share of the commanded speed that is walked in the commanded direction, [...] in [0, 1]; zero
+    where none is commanded.
 
     Without it a robot would earn most of BSGA by standing in the right posture.
 
     Args:
-        speed: [...] forward speed along the ground, m/s.
-        asked: [...] commanded forward speed, m/s.
+        velocity: [..., 2] velocity along the ground, forward and left, m/s.
+        asked: [..., 2] commanded velocity, m/s.
         least: m/s, see LEAST_SPEED.
     """
-    return (speed / asked.clamp(min=least)).clamp(0.0, 1.0) * (asked > 0.0)
+    speed = asked.norm(dim=-1)
+    along = (velocity * asked).sum(dim=-1) / speed.clamp(min=1e-6)
+    return (along / speed.clamp(min=least)).clamp(0.0, 1.0) * (speed > 0.0)
 
 
 def slope_intensity(slope: Tensor, full: float) -> Tensor:
