@@ -99,7 +99,7 @@ def base_rewards() -> Terms[RewardTermCfg]:
     one is for who walks already.
     """
     return Terms(
-        track_velocity=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.4}, weight=1.2),
+        track_velocity=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
         track_velocity_finely=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.15}, weight=0.8),
         track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=1.0),
         alive=RewardTermCfg(rewards.alive, weight=0.15),
@@ -120,7 +120,7 @@ def base_rewards() -> Terms[RewardTermCfg]:
         hip_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": ".*hip_(roll|yaw).*"}, weight=-0.5),
         single_stance=RewardTermCfg(rewards.SingleStance, {"cap": 0.5, "transfer": 0.08}, weight=1.5),
         landings=RewardTermCfg(rewards.LandingRate, weight=-0.2),
-        foot_slide=RewardTermCfg(rewards.foot_slide, weight=-0.4),
+        foot_slide=RewardTermCfg(rewards.foot_slide, weight=-0.2),
         foot_clearance=RewardTermCfg(
             rewards.foot_clearance_exp, {"target": 0.08, "std": math.sqrt(0.02), "speed_scale": 2.0}, weight=0.5
         ),
@@ -136,13 +136,21 @@ def base_rewards() -> Terms[RewardTermCfg]:
 def all_directions(**changes: Any) -> VelocityCommandCfg:
     """Commands to walk forward, and on hillsides backward, to the sides and turning in place too; and to stand."""
     return VelocityCommandCfg(
-        speed=(0.2, 0.8),
         yaw_rate=(-0.6, 0.6),
-        standing_share=0.12,
+        standing_share=0.08,
         resample_s=(4.0, 10.0),
-        modes={"forward": 0.4, "backward": 0.2, "sideways": 0.2, "turning": 0.2},
+        modes={"forward": 0.55, "backward": 0.15, "sideways": 0.15, "turning": 0.15},
+        backward=(0.2, 0.5),
+        sideways=(0.2, 0.5),
         **changes,
     )
+
+
+STRICT = (
+    *("track_velocity_finely", "knee_flexion", "action_acc", "landings"),
+    *("stand_on_both_feet", "stand_without_steps", "stand_without_creep", "stand_at_ease"),
+)
+"""Rewards that count as the harness is withdrawn: a robot in it shall first of all find out that it can walk."""
 
 
 def falls() -> Terms[TerminationTermCfg]:
@@ -206,7 +214,7 @@ def stage1() -> TaskCfg:
             events=randomisation(),
             curriculum=Terms(
                 harness=TermCfg(harness.HarnessCurriculum),
-                strict_rewards=TermCfg(harness.StrengthenRewards, {"rewards": ("landings", "action_acc")}),
+                strict_rewards=TermCfg(harness.StrengthenRewards, {"rewards": STRICT}),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),
         ),

@@ -33,6 +33,7 @@ from humoslope.managers import (
     TerminationTermCfg,
     Terms,
     VelocityCommandCfg,
+    commanded_and_walked,
     control_steps,
 )
 from humoslope.scene.drives import Drives
@@ -266,8 +267,8 @@ class ManagerBasedRlEnv:
         self.log.add("Train/episode_length", self.steps_since_reset, done)
         self.log.add("Train/diverged", self.diverged)
         self.log.add("Train/falls_per_second", terminated / self.step_dt)
-        asked, walked = self.commands.asked_and_walked()
-        self.log.add("Train/speed", walked, asked > 0.0)
+        commanded, walked = commanded_and_walked(self)
+        self.log.add("Train/speed", walked, commanded > 0.0)
         self.observers.step()
 
         self.events.step()

@@ -11,7 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from humoslope.errors import UserError
-from humoslope.managers import CommandManager, VelocityCommandCfg
+from humoslope.managers import CommandManager, VelocityCommandCfg, commanded_and_walked
 from humoslope.managers.command import MODES
 
 N = 1000
@@ -320,3 +320,33 @@ def test_modes_that_cannot_be_drawn_are_refused_in_one_sentence(make_commands, c
 
 def test_forward_alone_needs_no_hillside(make_commands):
     assert (make_commands(VelocityCommandCfg(modes={"forward": 1.0})).velocity[:, 0] >= 0.0).all()
+
+
+# Commanded and walked speed
+
+speeds = st.floats(-2.0, 2.0)
+
+
+@given(forward=speeds, left=speeds, share=st.floats(-1.5, 1.5), across=speeds, up=speeds)
+def test_what_is_walked_counts_in_the_commanded_direction_whichever_that_is(make_env, forward, left, share, across, up):
+    """A robot that walks `share` of its command, and strays at right angles to it."""
+    speed = math.hypot(forward, left)
+    assume(speed > 1e-3)
+    velocity = [share * forward - across * left / speed, share * left + across * forward / speed, up]
+    env = make_env(
+        1,
+        commands=SimpleNamespace(velocity=torch.tensor([[forward, left, 0.3]])),
+        signals=SimpleNamespace(root_lin_vel_t=torch.tensor([velocity])),
+    )
+    commanded, walked = commanded_and_walked(env)
+    assert commanded.item() == pytest.approx(speed, abs=1e-5)
+    assert walked.item() == pytest.approx(share * speed, abs=1e-4)
+
+
+def test_robots_that_are_commanded_to_stand_count_for_nothing_however_they_move(make_env):
+    env = make_env(
+        2,
+        commands=SimpleNamespace(velocity=torch.zeros(2, 3)),
+        signals=SimpleNamespace(root_lin_vel_t=torch.tensor([[3.0, 0.0, 0.0], [-1.0, 2.0, 0.0]])),
+    )
+    assert [speed.tolist() for speed in commanded_and_walked(env)] == [[0.0, 0.0], [0.0, 0.0]]

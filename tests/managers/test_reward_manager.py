@@ -148,3 +148,13 @@ def test_a_term_of_the_wrong_shape_is_named(env):
 
     with pytest.raises(UserError, match=r"reward 'column' returned shape \(4, 1\); it must be \(4,\), one value per e"):
         RewardManager(env, Terms(alive=RewardTermCfg(one), column=RewardTermCfg(column)))
+
+
+def test_a_term_counts_by_its_strength_from_when_it_is_set(env):
+    rewards = RewardManager(env, Terms(alive=RewardTermCfg(one, weight=2.0), other=RewardTermCfg(one, weight=-1.0)))
+    rewards.set_strength("other", torch.tensor(0.25))
+    assert rewards.compute(0.5).tolist() == [0.5 * (2.0 - 0.25)] * N
+    rewards.set_strength("other", torch.tensor(0.0))
+    assert rewards.compute(0.5).tolist() == [1.0] * N
+    with pytest.raises(UserError, match="reward 'alife' does not exist; did you mean 'alive'"):
+        rewards.set_strength("alife", torch.tensor(1.0))

@@ -311,7 +311,7 @@ class Reference:
     """Every term with a progress average of its own, from the formulas of the paper and of `slope.bsga`."""
 
     def __init__(self, env):
-        self.speed, self.gain = env.zeros(), 1.0 - math.exp(-env.step_dt / 0.5)
+        self.velocity, self.gain = env.zeros(2), 1.0 - math.exp(-env.step_dt / 0.5)
         triple = (bsga.HIP_PITCH, bsga.KNEE, bsga.ANKLE_PITCH)
         self.work = {sign: StanceWork(env, triple, sign, self.gain) for sign in ("positive", "negative")}
         self.air, self.swing = AirTime(env, 5.0), Swing(env, 5.0, 0.1, 0.6)
@@ -321,9 +321,12 @@ class Reference:
         )
 
     def __call__(self, env):
-        s, asked, ground = env.signals, env.commands.velocity[:, 0], env.height_scan.descriptor
-        self.speed = torch.lerp(self.speed, s.root_lin_vel_t[:, 0], self.gain)
-        progress = (self.speed / asked.clamp(min=0.1)).clamp(0.0, 1.0) * (asked > 0.0)
+        s, ground = env.signals, env.height_scan.descriptor
+        command = env.commands.velocity[:, :2]
+        asked = command.norm(dim=1)
+        self.velocity = torch.lerp(self.velocity, s.root_lin_vel_t[:, :2], self.gain)
+        along = (self.velocity * command).sum(dim=1) / asked.clamp(min=1e-6)
+        progress = (along / asked.clamp(min=0.1)).clamp(0.0, 1.0) * (asked > 0.0)
         rho = (ground.slope.abs() / math.radians(30.0)).clamp(max=1.0)
         target = 0.69 * ground.slope.cos() + rho * (0.01 * ground.up + -0.03 * ground.down)
         com = torch.exp(-((s.com_height * ground.slope.cos() - target) / 0.10).square())
@@ -349,7 +352,8 @@ class Reference:
     def reset(self, mask):
         for memory in (*self.work.values(), self.air, self.swing):
             memory.reset(mask)
-        self.speed, self.age = self.speed.masked_fill(mask, 0.0), self.age.masked_fill(mask, math.inf)
+        self.velocity = self.velocity.masked_fill(mask[:, None], 0.0)
+        self.age = self.age.masked_fill(mask, math.inf)
 
 
 @pytest.mark.parametrize("slope", [-20.0, 0.0, 20.0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace
 
 import mujoco
@@ -14,7 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
-from humoslope.mdp.harness import Harness, HarnessCurriculum, commanded_and_walked
+from humoslope.managers import Terms
+from humoslope.mdp.harness import Harness, HarnessCurriculum, StrengthenRewards
 
 WEIGHT = 33.0 * 9.81
 EVERYWHERE = torch.tensor([True])
@@ -139,37 +139,9 @@ def test_a_torso_that_slides_on_the_root_is_refused(make_env):
         Harness(env)
 
 
-# Commanded and walked speed
+# Withdrawal
 
 speeds = st.floats(-2.0, 2.0)
-
-
-@given(forward=speeds, left=speeds, share=st.floats(-1.5, 1.5), across=speeds, up=speeds)
-def test_what_is_walked_counts_in_the_commanded_direction_whichever_that_is(make_env, forward, left, share, across, up):
-    """A robot that walks `share` of its command, and strays at right angles to it."""
-    speed = math.hypot(forward, left)
-    assume(speed > 1e-3)
-    velocity = [share * forward - across * left / speed, share * left + across * forward / speed, up]
-    env = make_env(
-        1,
-        commands=SimpleNamespace(velocity=torch.tensor([[forward, left, 0.3]])),
-        signals=SimpleNamespace(root_lin_vel_t=torch.tensor([velocity])),
-    )
-    commanded, walked = commanded_and_walked(env)
-    assert commanded.item() == pytest.approx(speed, abs=1e-5)
-    assert walked.item() == pytest.approx(share * speed, abs=1e-4)
-
-
-def test_robots_that_are_commanded_to_stand_count_for_nothing_however_they_move(make_env):
-    env = make_env(
-        2,
-        commands=SimpleNamespace(velocity=torch.zeros(2, 3)),
-        signals=SimpleNamespace(root_lin_vel_t=torch.tensor([[3.0, 0.0, 0.0], [-1.0, 2.0, 0.0]])),
-    )
-    assert [speed.tolist() for speed in commanded_and_walked(env)] == [[0.0, 0.0], [0.0, 0.0]]
-
-
-# Withdrawal
 
 FORWARD, BACKWARD, SIDEWAYS = [0.5, 0.0, 0.1], [-0.5, 0.0, 0.0], [0.0, 0.5, 0.0]
 STANDING = [0.0, 0.0, 0.0]
@@ -307,3 +279,28 @@ def test_a_withdrawal_without_sense_is_refused(withdrawal, params, message):
 def test_only_a_harness_can_be_withdrawn(withdrawal):
     with pytest.raises(UserError, match="event 'push' is not a Harness"):
         HarnessCurriculum(withdrawal.env, event="push")
+
+
+# Rewards that grow as it goes
+
+
+def test_strict_rewards_count_by_what_the_harness_has_lost(bare):
+    seen = {}
+    env = bare(2, rewards=SimpleNamespace(set_strength=lambda name, share: seen.update({name: share.item()})))
+    env.events = {"harness": Harness(env, scale=0.7)}
+    env.cfg.rewards = Terms(landings=object(), other=object())
+    term = StrengthenRewards(env, rewards=("landings",))
+    assert term.step(env).item() == pytest.approx(0.3)
+    assert seen == pytest.approx({"landings": 0.3})
+    env.events["harness"].scale = torch.tensor(0.0)
+    term.step(env)
+    assert seen == {"landings": 1.0}
+
+
+def test_a_strict_reward_that_does_not_exist_and_an_event_that_is_no_harness_are_refused(bare):
+    env = bare(2)
+    env.events, env.cfg.rewards = {"harness": Harness(env), "push": object()}, Terms(landings=object())
+    with pytest.raises(UserError, match=r"reward 'landing' does not exist; did you mean 'landings'\?"):
+        StrengthenRewards(env, rewards=("landing",))
+    with pytest.raises(UserError, match="event 'push' is not a Harness"):
+        StrengthenRewards(env, rewards=("landings",), event="push")

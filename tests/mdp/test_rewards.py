@@ -256,7 +256,7 @@ def stepper(make_env):
     """Feeds contacts to a fresh term, the same in two worlds, and returns what it is worth."""
     env = make_env(2, commands=SimpleNamespace(moving=torch.tensor([True, True])))
     env.signals = SimpleNamespace(foot_contact=torch.tensor([BOTH, BOTH]))
-    term = rewards.SingleStance(env, cap=0.1)
+    term = rewards.SingleStance(env, cap=0.1, transfer=0.04)
 
     def step(contact, moving=True):
         env.signals = SimpleNamespace(foot_contact=torch.tensor([contact, contact]))
@@ -267,19 +267,27 @@ def stepper(make_env):
     return step
 
 
-def test_standing_on_one_leg_is_worth_the_time_since_the_other_was_lifted_as_a_share_of_the_cap(stepper):
-    for _ in range(20):
-        assert stepper(BOTH) == [0.0, 0.0]
-    values = [stepper(LEFT)[0] for _ in range(8)]
-    assert values == [0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.0, 1.0]
+def test_standing_on_one_leg_is_worth_the_time_since_a_foot_landed_as_a_share_of_the_cap(stepper):
+    stepper(LEFT)
+    stepper(BOTH)  # lands
+    values = [stepper(LEFT)[0] for _ in range(7)]
+    assert values == [0.2, 0.4, 0.6, 0.8, 1.0, 1.0, 1.0]
 
 
-def test_the_shorter_of_both_times_counts_so_hopping_on_the_spot_is_worth_little(stepper):
+def test_both_feet_may_be_down_for_a_moment_after_a_landing(stepper):
+    stepper(LEFT)
+    assert stepper(BOTH) == [0.0, 0.0]
+    assert stepper(BOTH) == [0.2, 0.2]
+    assert stepper(BOTH) == [0.0, 0.0]  # 0.04 s are over
+    assert stepper(RIGHT) == [0.6, 0.6]
+
+
+def test_short_steps_are_worth_little(stepper):
     for _ in range(3):
         stepper(BOTH)
     stepper(LEFT)
     stepper(LEFT)
-    assert stepper(RIGHT) == [0.0, 0.0]  # the stance leg has only just landed
+    assert stepper(RIGHT) == [0.0, 0.0]  # has only just landed
     assert stepper(RIGHT) == [0.2, 0.2]
 
 
@@ -287,6 +295,7 @@ def test_on_both_legs_or_in_the_air_it_is_worth_nothing(stepper):
     for _ in range(10):
         stepper(LEFT)
     assert stepper(BOTH) == [0.0, 0.0]
+    stepper(BOTH)
     assert stepper(BOTH) == [0.0, 0.0]
     assert stepper(NONE) == [0.0, 0.0]
     assert stepper(NONE) == [0.0, 0.0]
@@ -304,3 +313,44 @@ def test_a_reset_forgets_the_time_of_its_worlds_alone(stepper, mask):
     assert stepper(LEFT) == [0.8, 0.8]
     stepper.term.reset(mask(2, 1))
     assert stepper(LEFT) == [1.0, 0.2]
+
+
+# Prices of a gait
+
+
+def test_every_landing_costs_its_rate_and_the_first_contacts_of_an_episode_are_none(make_env):
+    env = make_env(1, signals=SimpleNamespace(foot_contact=torch.tensor([NONE])))
+    term = rewards.LandingRate(env)
+
+    def step(contact):
+        env.signals = SimpleNamespace(foot_contact=torch.tensor([contact]))
+        return round(term(env).item() * env.step_dt)
+
+    assert [step(contact) for contact in (BOTH, LEFT, BOTH, BOTH, NONE, BOTH)] == [0, 0, 1, 0, 0, 2]
+    step(NONE)
+    term.reset(torch.tensor([True]))
+    assert step(BOTH) == 0
+
+
+def test_chatter_costs_four_times_as_much_in_second_differences_as_in_first_ones(make_env):
+    env = make_env(1, robot=SimpleNamespace(num_joints=2), actions=SimpleNamespace())
+    term = rewards.ActionAccelerationL2(env)
+
+    def step(before, now):
+        env.actions.previous_action, env.actions.action = torch.tensor([before]), torch.tensor([now])
+        return term(env).item(), rewards.action_rate_l2(env).item()
+
+    assert step([0.0, 0.0], [1.0, 2.0]) == (5.0, 5.0)
+    assert step([1.0, 2.0], [0.0, 0.0]) == (20.0, 5.0)
+    assert step([0.0, 0.0], [-1.0, -2.0]) == (0.0, 5.0)  # goes on as before
+    term.reset(torch.tensor([True]))
+    assert step([0.0, 0.0], [1.0, 0.0]) == (1.0, 1.0)
+
+
+def test_knees_cost_their_mean_flexion_beyond_what_is_free(make_env):
+    knees = [UNITREE_G1.joint_names.index(f"{side}_knee_joint") for side in ("left", "right")]
+    joint_pos = torch.full((2, 29), 1.0)
+    joint_pos[0, knees] = torch.tensor([0.9, 0.3])
+    joint_pos[1, knees] = torch.tensor([0.4, -0.1])
+    env = make_env(2, robot=UNITREE_G1, signals=SimpleNamespace(joint_pos=joint_pos))
+    assert rewards.knee_flexion_l1(env, free=0.4).tolist() == pytest.approx([0.25, 0.0])

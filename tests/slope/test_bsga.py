@@ -69,12 +69,16 @@ def test_ascent_and_descent_without_any_weight_are_refused():
         (-0.5, 0.5, 0.0),
         (0.5, 0.0, 0.0),  # nothing is asked
         (0.5, -0.5, 0.0),  # the other direction is asked
-        (-0.5, -0.5, 0.0),
+        (-0.25, -0.5, 0.5),
         (0.01, 0.02, 0.1),  # swaying does not pay where next to nothing is asked
     ],
 )
-def test_progress_is_the_share_of_the_commanded_speed_that_is_walked(speed, asked, expected):
-    assert bsga.progress(scalar(speed), scalar(asked), least=0.1).item() == pytest.approx(expected)
+@pytest.mark.parametrize("heading", [0.0, 90.0, -150.0])
+def test_progress_is_the_share_of_the_commanded_speed_that_is_walked_in_its_direction(speed, asked, expected, heading):
+    ahead = torch.tensor([math.cos(heading * DEG), math.sin(heading * DEG)])
+    aside = torch.stack([-ahead[1], ahead[0]])
+    walked = speed * ahead + 0.4 * aside  # what is walked at right angles does not count
+    assert bsga.progress(walked[None], (asked * ahead)[None], least=0.1).item() == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize(("degrees", "expected"), [(0.0, 0.0), (15.0, 0.5), (-15.0, 0.5), (30.0, 1.0), (-45.0, 1.0)])

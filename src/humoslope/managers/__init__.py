@@ -2,7 +2,7 @@
 
 from humoslope.managers.action import ActionManager, JointPositionActionCfg
 from humoslope.managers.clock import control_steps
-from humoslope.managers.command import CommandManager, VelocityCommandCfg
+from humoslope.managers.command import CommandManager, VelocityCommandCfg, commanded_and_walked
 from humoslope.managers.curriculum import CurriculumManager, CurriculumTerm
 from humoslope.managers.event import EventManager, EventTermCfg
 from humoslope.managers.finite import FiniteWatch
@@ -41,5 +41,6 @@ __all__ = [
     "TerminationTermCfg",
     "Terms",
     "VelocityCommandCfg",
+    "commanded_and_walked",
     "control_steps",
 ]

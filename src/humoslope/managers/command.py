@@ -128,16 +128,6 @@ class CommandManager:
         """The envs [N] that are commanded to move."""
         return ~self._stands
 
-    def asked_and_walked(self) -> tuple[Tensor, Tensor]:
-        """Commanded speed along the ground, whatever its direction, and the root's speed in that direction; [N], m/s.
-
-        Both are zero in envs that are commanded to stand or to turn in place.
-        """
-        asked = self.velocity[:, :2]
-        speed = asked.norm(dim=1)
-        along = (self._env.signals.root_lin_vel_t[:, :2] * asked).sum(dim=1)
-        return speed, along / speed.clamp(min=1e-6)
-
     def reset(self, mask: Tensor) -> None:
         """Draws new commands for the envs in `mask` [N]."""
         self._steer(self._draw(mask))
@@ -201,6 +191,17 @@ class CommandManager:
         for name, value in vars(self.cfg).items():
             table.add_row(name, str(value))
         return table
+
+
+def commanded_and_walked(env: Env) -> tuple[Tensor, Tensor]:
+    """Commanded speed along the ground, whatever its direction, and speed of the root in that direction; [N] each, m/s.
+
+    Both are zero in envs that are commanded to stand or to turn in place.
+    """
+    command = env.commands.velocity[:, :2]  # [N, 2] forward and left
+    speed = command.norm(dim=1)
+    along = (env.signals.root_lin_vel_t[:, :2] * command).sum(dim=1)
+    return speed, along / speed.clamp(min=1e-6)
 
 
 def _check_modes(cfg: VelocityCommandCfg, has_omnidirectional: bool) -> None:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from humoslope.errors import UserError, require_not_negative, require_positive
+from humoslope.managers.command import commanded_and_walked
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.mdp.harness import Harness
 
@@ -67,7 +68,7 @@ class TerrainLevels(CurriculumTerm):
 
     def step(self, env: Env) -> Tensor:
         """Adds up what was commanded and walked; returns the levels."""
-        commanded, walked = env.commands.asked_and_walked()
+        commanded, walked = commanded_and_walked(env)
         self._commanded = torch.add(self._commanded, commanded, alpha=env.step_dt)
         self._walked = torch.add(self._walked, walked, alpha=env.step_dt)
         return env.tiles.level

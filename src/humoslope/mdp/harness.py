@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from humoslope.errors import UserError, require_not_negative, require_positive, unknown
+from humoslope.managers.command import commanded_and_walked
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.managers.terms import StatefulTerm
 from humoslope.ranges import NotNegative
@@ -149,7 +150,7 @@ class HarnessCurriculum(CurriculumTerm):
     def step(self, env: Env) -> Tensor:
         """Withdraws a little where it is deserved; returns the scale."""
         falls = env.terminations.terminated.mean(dtype=torch.float32) / env.step_dt
-        commanded, walked = (speed.sum() for speed in env.commands.asked_and_walked())
+        commanded, walked = (speed.sum() for speed in commanded_and_walked(env))
         # Where every robot is commanded to stand, nothing is learnt about walking.
         share = torch.where(commanded > 0.0, walked / commanded, self._speed)
         self._falls = torch.lerp(falls, self._falls, self._keep)
