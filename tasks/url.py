@@ -23,13 +23,12 @@ from humoslope.managers import (
     TermCfg,
     TerminationTermCfg,
     Terms,
-    VelocityCommandCfg,
 )
 from humoslope.mdp import curricula, harness, observations, rewards, terminations, unitree_rl_lab
 from humoslope.registry import TaskCfg, task
-from robots.unitree_g1 import UNITREE_G1
+from robots.unitree_g1 import UNITREE_G1_SOLID
 from robots.unitree_g1.model import SOLE_CENTRE
-from tasks.stage1 import actor_group, falls, proprioception, randomisation
+from tasks.stage1 import actor_group, all_directions, falls, physics, proprioception, randomisation
 from terrains.stage1 import stage1 as stage1_terrain
 
 ROOT_HEIGHT = {"target": 0.78}
@@ -81,8 +80,9 @@ def url_literal() -> TaskCfg:
     ends.tilted = TerminationTermCfg(terminations.tilted, {"degrees": math.degrees(0.8)})
     return TaskCfg(
         env=EnvCfg(
-            scene=SceneCfg(robot=UNITREE_G1, terrain=stage1_terrain()),
-            command=VelocityCommandCfg(),
+            scene=SceneCfg(robot=UNITREE_G1_SOLID, terrain=stage1_terrain()),
+            sim=physics(),
+            command=all_directions(),
             observations=Terms(actor=actor_group(), critic=critic_group()),
             rewards=url_rewards(),
             terminations=ends,

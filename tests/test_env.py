@@ -43,6 +43,7 @@ def noise(env: ManagerBasedRlEnv, step: int, scale: float = 0.3) -> Tensor:
 def few_tiles(cfg: EnvCfg) -> None:
     """A smaller ground, quickly built."""
     cfg.scene.terrain = TerrainGridCfg(columns={"ramp-up": 1.0, "rough-ramp-down": 1.0}, levels=3, num_columns=2)
+    cfg.command.modes = {}
 
 
 def noiseless(cfg: EnvCfg) -> None:

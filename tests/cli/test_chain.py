@@ -17,7 +17,7 @@ WALKER = Path(__file__).parents[2] / "experiments/checkpoints/stage1.pt"
 STAGE_1, STAGE_2 = "HumoSlope-Stage1-Unitree-G1", "HumoSlope-Stage2-Unitree-G1"
 TINY = [
     *("--preset", "cpu", "--env.num-envs", "8", "--env.sim.device", "cpu", "--env.scene.terrain.levels", "3"),
-    *("--env.scene.terrain.num-columns", "8", "--agent.num-steps-per-env", "4", "--agent.num-mini-batches", "2"),
+    *("--env.scene.terrain.num-columns", "9", "--agent.num-steps-per-env", "4", "--agent.num-mini-batches", "2"),
     *("--agent.num-learning-epochs", "1", "--agent.no-mixed-precision", "--agent.save-interval", "1"),
 ]
 WALK = ["--grades", "-10", "0", "10", "15", "20", "--starts", "1", "--seconds", "6.5", "--least-samples", "10"]

@@ -17,7 +17,7 @@ TASK = "HumoSlope-Stage1-Unitree-G1"
 OTHER_TASK = "HumoSlope-Stage1-NoZMP-Unitree-G1"
 SMALL = [
     *("--preset", "cpu", "--env.num-envs", "4"),
-    *("--env.scene.terrain.levels", "1", "--env.scene.terrain.num-columns", "7"),
+    *("--env.scene.terrain.levels", "1", "--env.scene.terrain.num-columns", "9"),
 ]
 
 

@@ -30,7 +30,7 @@ from tests.learning import toys
 
 TINY = [
     *("--preset", "cpu", "--env.num-envs", "8", "--env.sim.device", "cpu"),
-    *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "7"),
+    *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "9"),
     *("--agent.num-steps-per-env", "4", "--agent.save-interval", "1"),
 ]
 TASKS = ["Toy-Td3", "Toy-Image"]

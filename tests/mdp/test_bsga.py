@@ -166,13 +166,22 @@ def test_who_stops_soon_earns_nothing_whatever_is_remembered(env, name):
 
 
 @every_term
-def test_walking_backwards_or_where_no_walking_is_asked_earns_nothing(env, name):
+def test_walking_against_the_command_or_where_no_walking_is_asked_earns_nothing(env, name):
     term, slope = term_of(env, name)
     assert values(env, term, slope, 60, speed=-0.5).max() == 0.0
     env.commands = asking(0.0)
     assert values(env, term, slope, 60).max() == 0.0
     env.commands = asking(-0.5)
-    assert values(env, term, slope, 60, speed=-0.5).max() == 0.0
+    assert values(env, term, slope, 60).max() == 0.0
+
+
+@every_term
+def test_walking_backward_where_that_is_asked_earns_as_much_as_forward(env, name):
+    term, slope = term_of(env, name)
+    forward = values(env, term, slope, 60)
+    term, slope = term_of(env, name)
+    env.commands = asking(-0.5)
+    assert torch.equal(values(env, term, slope, 60, speed=-0.5), forward)
 
 
 @every_term

@@ -182,9 +182,12 @@ def test_on_every_tile_of_stage_one_robots_start_with_their_feet_just_above_the_
     assert not signals.foot_contact.any()
     assert signals.body_force.count_nonzero() == 0
     assert signals.foot_height.min() > 0.0
-    assert signals.foot_height.max() < 0.03
-    offset = signals.root_pos_w - env.tiles.origin_w
+    free = env.tiles.omnidirectional
+    assert free.sum() == 90
+    assert signals.foot_height.amin(dim=1).max() < 0.1  # on a hillside a heel touches first, and one foot
+    assert signals.foot_height[~free].max() < 0.03
+    offset = (signals.root_pos_w - env.tiles.origin_w)[~free]
     assert (offset[:, 0] - env.tiles.spawn_x).abs().max() <= 0.15 + 1e-4
     assert offset[:, 1].abs().max() <= 0.5 + 1e-4
-    assert 0.2 < signals.heading_w.abs().max() <= 0.3 + 1e-4
-    assert offset[:, 0].unique().numel() > 150
+    assert 0.2 < signals.heading_w[~free].abs().max() <= 0.3 + 1e-4
+    assert offset[:, 0].unique().numel() > 80

@@ -308,7 +308,7 @@ def test_who_is_asked_to_stand_earns_nothing_on_one_leg(stepper):
 
 
 def test_a_reset_forgets_the_time_of_its_worlds_alone(stepper, mask):
-    for _ in range(4):
+    for _ in range(3):
         stepper(LEFT)
     assert stepper(LEFT) == [0.8, 0.8]
     stepper.term.reset(mask(2, 1))

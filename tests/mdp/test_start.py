@@ -221,14 +221,14 @@ def widest_margin(cfg):
 
 
 def far_across(cfg):
-    cfg.events.root.params["across"] = (-3.0, 3.0)
+    cfg.events.root.params["across"] = (-5.0, 5.0)
 
 
 @pytest.mark.parametrize(
     ("override", "said"),
     [
         (widest_margin, "event 'root': robots start from 0.6 m on, but within 5 m of the tile's edge"),
-        (far_across, "event 'root': the tile is 5 m wide; .* tile_width must be at least 6.6 m"),
+        (far_across, "event 'root': the tile is 8 m wide; .* tile_width must be at least 10.6 m"),
     ],
 )
 def test_an_environment_without_room_for_its_robots_is_refused_when_it_is_built(make_stage1, override, said):

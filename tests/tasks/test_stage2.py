@@ -52,10 +52,10 @@ def test_the_critic_of_stage_2_sees_the_scan_and_the_descriptor():
     )
 
 
-def test_stage_2_has_bsga_in_place_of_zmp_and_of_a_fixed_height():
+def test_stage_2_has_bsga_in_place_of_zmp_and_of_fixed_heights_and_knees():
     first, second = rewards("HumoSlope-Stage1-Unitree-G1"), rewards(FULL)
     assert second - first == BSGA
-    assert first - second == {"zmp", "root_height"}
+    assert first - second == {"zmp", "root_height", "knee_flexion"}
     without = rewards("HumoSlope-Stage2-NoBSGA-Unitree-G1")
     assert first - without == {"zmp"}
     assert without <= first

@@ -72,8 +72,10 @@ def test_ppo_is_unitrees() -> None:
 
 def test_robot_ground_commands_randomisation_and_harness_are_those_of_stage_1() -> None:
     own, ours = plain(build_task(LITERAL)), plain(build_task("HumoSlope-Stage1-Unitree-G1"))
-    for same in ("actions", "command", "events", "curriculum", "episode_length_s"):
+    for same in ("actions", "sim", "command", "events", "episode_length_s"):
         assert own["env"][same] == ours["env"][same]
+    for same in ("harness", "terrain_levels"):
+        assert own["env"]["curriculum"][same] == ours["env"]["curriculum"][same]
     assert own["env"]["scene"] == ours["env"]["scene"]
     assert own["env"]["observations"]["actor"] == ours["env"]["observations"]["actor"]
 
@@ -140,7 +142,7 @@ def test_the_cpu_preset_changes_its_scale_alone(task: str) -> None:
 def test_it_trains_by_the_command_line(task: str, tmp_path: Path) -> None:
     tiny = [
         *("--preset", "cpu", "--env.num-envs", "8", "--env.sim.device", "cpu"),
-        *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "7"),
+        *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "9"),
         *("--agent.num-steps-per-env", "4", "--agent.num-mini-batches", "2", "--agent.hidden-dims", "16", "16"),
         *("--agent.max-iterations", "1", "--agent.no-mixed-precision"),
     ]

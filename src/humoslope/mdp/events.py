@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import torch
 from torch import Tensor
 
 from humoslope.errors import UserError
 from humoslope.managers.terms import StatefulTerm
+from humoslope.mdp.harness import Harness
 from humoslope.mdp.room import check_room
-from humoslope.mdp.selection import Body, body_id
+from humoslope.mdp.selection import Body, Found, body_id
 from humoslope.mdp.soles import Soles
 from humoslope.ranges import NotNegative, NotNegativeSpan, Share, Span
 from humoslope.sim.fields import replace
@@ -85,7 +86,18 @@ def reset_joints(env: Env, mask: Tensor, position: Span, velocity: Span) -> None
     env.start_qvel[:, 6:] = env.uniform(*velocity, env.robot.num_joints)
 
 
-def push(env: Env, mask: Tensor, speed: NotNegative, harness: str = "", harnessed: Share = 0.4) -> None:
+def _harness(env: Env, name: str) -> None:
+    if name and (name not in env.cfg.events or env.cfg.events[name].func is not Harness):
+        raise UserError(f"there is no Harness event of the name '{name}'.")
+
+
+def push(
+    env: Env,
+    mask: Tensor,
+    speed: NotNegative,
+    harness: Annotated[str, Found(_harness)] = "",
+    harnessed: Share = 0.4,
+) -> None:
     """Changes the root's horizontal velocity at once.
 
     Args:

@@ -79,6 +79,11 @@ def _check_straight_commands(env: Env, along: tuple[float, float], across: float
             )
 
 
+def _rounded_up(metres: float) -> float:
+    """To millimetres, upwards, so that what a message proposes is enough."""
+    return math.ceil(1000.0 * metres) / 1000.0
+
+
 def _shown(values: tuple[float, float]) -> str:
     return f"({values[0]:g}, {values[1]:g})"
 
@@ -107,10 +112,10 @@ def _check_straight_tile(env: Env, along: tuple[float, float], across: float, ma
     if tiles.length < needs[reason]:
         raise UserError(
             f"the tile is {tiles.length:g} m long; for {reason} and a margin of {margin:g} m at its end tile_length "
-            f"must be at least {needs[reason]:g} m."
+            f"must be at least {_rounded_up(needs[reason]):g} m."
         )
     if tiles.width < 2.0 * (across + margin):
         raise UserError(
             f"the tile is {tiles.width:g} m wide; for a start up to {across:g} m off its middle and a margin of "
-            f"{margin:g} m at its sides tile_width must be at least {2.0 * (across + margin):g} m."
+            f"{margin:g} m at its sides tile_width must be at least {_rounded_up(2.0 * (across + margin)):g} m."
         )
