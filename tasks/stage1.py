@@ -118,7 +118,7 @@ def base_rewards() -> Terms[RewardTermCfg]:
         arm_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": ".*(shoulder|elbow|wrist).*"}, weight=-0.2),
         waist_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": "waist.*"}, weight=-0.5),
         hip_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": ".*hip_(roll|yaw).*"}, weight=-0.5),
-        single_stance=RewardTermCfg(rewards.SingleStance, {"cap": 0.5, "transfer": 0.08}, weight=1.5),
+        single_stance=RewardTermCfg(rewards.SingleStance, {"cap": 0.5, "transfer": 0.08}, weight=3.0),
         landings=RewardTermCfg(rewards.LandingRate, weight=-0.2),
         foot_slide=RewardTermCfg(rewards.foot_slide, weight=-0.2),
         foot_clearance=RewardTermCfg(
@@ -147,7 +147,7 @@ def all_directions(**changes: Any) -> VelocityCommandCfg:
 
 
 STRICT = (
-    *("track_velocity_finely", "knee_flexion", "action_acc", "landings"),
+    *("track_velocity_finely", "knee_flexion", "foot_clearance", "action_acc", "landings"),
     *("stand_on_both_feet", "stand_without_steps", "stand_without_creep", "stand_at_ease"),
 )
 """Rewards that count as the harness is withdrawn: a robot in it shall first of all find out that it can walk."""
@@ -189,7 +189,7 @@ def randomisation() -> Terms[EventTermCfg]:
         root=EventTermCfg(events.ResetOnTile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
         joints=EventTermCfg(events.reset_joints, {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}),
         push=EventTermCfg(events.push, {"speed": 1.0, "harness": "harness"}, mode="interval", interval_s=(5.0, 8.0)),
-        harness=EventTermCfg(harness.Harness, mode="step"),
+        harness=EventTermCfg(harness.Harness, {"support": 0.5}, mode="step"),
     )
 
 
@@ -214,6 +214,7 @@ def stage1() -> TaskCfg:
             events=randomisation(),
             curriculum=Terms(
                 harness=TermCfg(harness.HarnessCurriculum),
+                variety=TermCfg(harness.VaryCommands),
                 strict_rewards=TermCfg(harness.StrengthenRewards, {"rewards": STRICT}),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),

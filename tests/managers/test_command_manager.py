@@ -350,3 +350,17 @@ def test_robots_that_are_commanded_to_stand_count_for_nothing_however_they_move(
         signals=SimpleNamespace(root_lin_vel_t=torch.tensor([[3.0, 0.0, 0.0], [-1.0, 2.0, 0.0]])),
     )
     assert [speed.tolist() for speed in commanded_and_walked(env)] == [[0.0, 0.0], [0.0, 0.0]]
+
+
+def test_a_command_without_variety_is_one_to_walk_forward(make_commands):
+    every = {"forward": 0.0, "backward": 1.0, "sideways": 1.0, "turning": 1.0}
+    commands = make_commands(VelocityCommandCfg(standing_share=0.5, heading_share=0.0, modes=every), free=True)
+    everywhere = torch.ones(N, dtype=torch.bool)
+    for variety in (0.0, 0.4, 1.0):
+        commands.variety = torch.tensor(variety)
+        commands.reset(everywhere)
+        moving = commands.moving
+        assert (~moving).float().mean().item() == pytest.approx(0.5 * variety, abs=0.05)
+        forward = commands.velocity[moving, 0] > 0.0
+        assert forward.float().mean().item() == pytest.approx(1.0 - variety, abs=0.08)
+

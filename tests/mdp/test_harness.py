@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
 from humoslope.managers import Terms
-from humoslope.mdp.harness import Harness, HarnessCurriculum, StrengthenRewards
+from humoslope.mdp.harness import Harness, HarnessCurriculum, StrengthenRewards, VaryCommands
 
 WEIGHT = 33.0 * 9.81
 EVERYWHERE = torch.tensor([True])
@@ -304,3 +304,12 @@ def test_a_strict_reward_that_does_not_exist_and_an_event_that_is_no_harness_are
         StrengthenRewards(env, rewards=("landing",))
     with pytest.raises(UserError, match="event 'push' is not a Harness"):
         StrengthenRewards(env, rewards=("landings",), event="push")
+
+
+def test_commands_vary_by_what_the_harness_has_lost(bare):
+    env = bare(2, commands=SimpleNamespace())
+    env.events = {"harness": Harness(env, scale=0.7), "push": object()}
+    assert VaryCommands(env).step(env).item() == pytest.approx(0.3)
+    assert env.commands.variety.item() == pytest.approx(0.3)
+    with pytest.raises(UserError, match="event 'push' is not a Harness"):
+        VaryCommands(env, event="push")

@@ -14,6 +14,7 @@ from humoslope.terrain import TerrainGridCfg
 
 def on_the_flat(cfg: EnvCfg) -> None:
     cfg.scene.terrain = TerrainGridCfg(columns={"flat": 1.0}, levels=1, num_columns=1)
+    cfg.command.modes = {}
 
 
 @pytest.fixture(scope="module")

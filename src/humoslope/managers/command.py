@@ -91,6 +91,8 @@ class CommandManager:
 
     Attributes:
         velocity: [N, 3] commanded velocity: forward and left in m/s along the ground, yaw rate in rad/s.
+        variety: Share, a scalar tensor, of the commands to stand or in another mode than forward that stay what they
+            are; the others become commands to walk forward. For curricula; 1 at first.
     """
 
     def __init__(self, env: Env, cfg: VelocityCommandCfg) -> None:
@@ -115,6 +117,7 @@ class CommandManager:
         self._steers = env.zeros(dtype=torch.bool)  # [N]
         self._heading = env.zeros()  # [N] rad, the target on tiles that are walked in any direction
         self._stands = env.zeros(dtype=torch.bool)  # [N]
+        self.variety = torch.ones((), device=env.device)
         self._steps_left = env.zeros()  # [N] control steps until the next draw, whole numbers
         ranges = torch.tensor([cfg.speed, cfg.lateral, cfg.yaw_rate, steps], device=env.device)
         self._low, self._high = ranges.unbind(dim=1)  # [4]
@@ -146,7 +149,7 @@ class CommandManager:
         velocity = drawn[:, :3]
         if self.cfg.modes:
             velocity, steers = self._in_modes(velocity, steers)
-        self._stands = torch.where(mask, random[:, 4] < self.cfg.standing_share, self._stands)
+        self._stands = torch.where(mask, random[:, 4] < self.cfg.standing_share * self.variety, self._stands)
         self._steers = torch.where(mask, steers, self._steers)
         self._yaw_rate = torch.where(mask, velocity[:, 2], self._yaw_rate)
         self._heading = torch.where(mask, self._env.signals.heading_w, self._heading)
@@ -161,8 +164,9 @@ class CommandManager:
             velocity: [N, 3] drawn as a forward command.
             steers: [N] bool.
         """
-        random = torch.rand(self._env.num_envs, 3, device=self._env.device)
-        mode = (random[:, :1] >= self._mode_ends[:-1]).sum(dim=1) * self._env.tiles.omnidirectional  # [N] in MODES
+        random = torch.rand(self._env.num_envs, 4, device=self._env.device)
+        varied = self._env.tiles.omnidirectional & (random[:, 3] < self.variety)
+        mode = (random[:, :1] >= self._mode_ends[:-1]).sum(dim=1) * varied  # [N] in MODES
         backward, sideways, turning = (mode == MODES.index(name) for name in MODES[1:])
         size = torch.lerp(self._least, self._most, random[:, 1:2])  # [N, 3]
         side = torch.where(random[:, 2] < 0.5, -1.0, 1.0)

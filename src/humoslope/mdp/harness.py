@@ -130,9 +130,7 @@ class HarnessCurriculum(CurriculumTerm):
         speed_share: NotNegative = 0.7,
         memory_s: float = 10.0,
     ) -> None:
-        harness = env.events[event]
-        if not isinstance(harness, Harness):
-            raise UserError(f"harness curriculum: event '{event}' is not a Harness.")
+        harness = _harness(env, event)
         require_not_negative("harness curriculum", rate=rate, falls_per_second=falls_per_second)
         require_positive("harness curriculum", memory_s=memory_s)
         self._harness, self._rate = harness, rate
@@ -187,13 +185,10 @@ class StrengthenRewards(CurriculumTerm):
     """
 
     def __init__(self, env: Env, rewards: tuple[str, ...], event: str = "harness") -> None:
-        harness = env.events[event]
-        if not isinstance(harness, Harness):
-            raise UserError(f"event '{event}' is not a Harness.")
         for name in rewards:
             if name not in env.cfg.rewards:
                 raise unknown("reward", name, env.cfg.rewards)
-        self._harness, self._rewards = harness, rewards
+        self._harness, self._rewards = _harness(env, event), rewards
 
     def step(self, env: Env) -> Tensor:
         """Sets the strengths; returns it."""
@@ -201,3 +196,33 @@ class StrengthenRewards(CurriculumTerm):
         for name in self._rewards:
             env.rewards.set_strength(name, strength)
         return strength
+
+
+class VaryCommands(CurriculumTerm):
+    """Curriculum: robots are asked to stand, to turn and to walk in other directions as the harness is withdrawn.
+
+    Who has not learnt to step yet learns from such commands that standing still is worth something.
+
+    Args:
+        event: Name of the `Harness` event.
+    """
+
+    def __init__(self, env: Env, event: str = "harness") -> None:
+        self._harness = _harness(env, event)
+
+    def step(self, env: Env) -> Tensor:
+        """Sets the variety of commands; returns it."""
+        env.commands.variety = 1.0 - self._harness.scale
+        return env.commands.variety
+
+
+def _harness(env: Env, event: str) -> Harness:
+    """The event of this name.
+
+    Raises:
+        UserError: If it is no `Harness`.
+    """
+    harness = env.events[event]
+    if not isinstance(harness, Harness):
+        raise UserError(f"event '{event}' is not a Harness.")
+    return harness
