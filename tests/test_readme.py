@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests import processes
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "experiments" / "examples"
@@ -21,18 +20,16 @@ TINY = [
 
 
 @pytest.fixture
-def checkout(tmp_path):
+def checkout(tmp_path, monkeypatch):
     """What a user has after adding the two example files; returns how to run `humoslope` there."""
     for folder in ("src", "robots", "terrains", "tasks"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
     for kind in ("terrains", "tasks"):
         shutil.copy(EXAMPLES / kind / "gravel.py", tmp_path / kind)
-    environment = os.environ | {"PYTHONPATH": f"{tmp_path / 'src'}{os.pathsep}{tmp_path}"}
+    monkeypatch.chdir(tmp_path)
 
     def humoslope(*arguments: str) -> str:
-        code = "import sys; from humoslope.cli import main; sys.exit(main())"
-        command = [sys.executable, "-c", code, *arguments]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        done = processes.run(*arguments, path=(tmp_path / "src", tmp_path))
         assert done.returncode == 0, done.stderr
         return done.stdout
 

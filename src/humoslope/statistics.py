@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest, t
+from scipy.special import ndtri, stdtrit  # scipy.stats takes as long to import as all that `play` needs
 
 from humoslope.errors import UserError
 
@@ -49,8 +49,12 @@ def proportion(count: int, total: int, confidence: float = 0.95) -> Proportion:
     """
     if not 0 <= count <= total or total < 1:
         raise UserError(f"proportion: {count} of {total} trials; there must be at least one, and no more than all.")
-    interval = binomtest(count, total).proportion_ci(confidence_level=confidence, method="wilson")
-    return Proportion(count, total, float(interval.low), float(interval.high))
+    z = float(ndtri(0.5 + 0.5 * confidence))
+    share, weight = count / total, 1.0 + z**2 / total
+    middle = (share + 0.5 * z**2 / total) / weight
+    half = z * math.sqrt(share * (1.0 - share) / total + 0.25 * (z / total) ** 2) / weight
+    # The ends are known exactly; rounding would miss them by a little.
+    return Proportion(count, total, middle - half if count else 0.0, middle + half if count < total else 1.0)
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ def average(values: Array, confidence: float = 0.95) -> Average | None:
     if measured.size == 1:
         return Average(middle, 1, None, None, None)
     std = float(measured.std(ddof=1))
-    half = float(t.ppf(0.5 + 0.5 * confidence, measured.size - 1)) * std / math.sqrt(measured.size)
+    half = float(stdtrit(measured.size - 1, 0.5 + 0.5 * confidence)) * std / math.sqrt(measured.size)
     return Average(middle, measured.size, std, middle - half, middle + half)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +10,7 @@ import torch
 
 from humoslope.cli import VERBS, main
 from humoslope.learning import checkpoint
+from tests import processes
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
 OTHER_TASK = "HumoSlope-Stage1-NoZMP-Unitree-G1"
@@ -32,11 +31,6 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(path): path.read_bytes() if path.is_file() else b"" for path in sorted(folder.rglob("*"))}
 
 
-def user(*arguments: str) -> subprocess.CompletedProcess[str]:
-    code = "import sys; from humoslope.cli import main; sys.exit(main())"
-    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
-
-
 def test_without_a_verb_or_with_help_all_verbs_are_listed(capsys):
     for arguments in ([], ["--help"], ["-h"]):
         assert main(arguments) == 0
@@ -45,7 +39,7 @@ def test_without_a_verb_or_with_help_all_verbs_are_listed(capsys):
 
 
 def test_a_user_sees_one_sentence_and_exit_code_2(folder):
-    done = user("tran", TASK)
+    done = processes.run("tran", TASK)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "humoslope: verb 'tran' does not exist; did you mean 'train'?\n"
     assert content(folder) == {}
@@ -75,7 +69,7 @@ def test_a_gpu_without_memory_left_is_one_sentence(monkeypatch, capsys):
 def test_a_policy_walks_in_a_process_of_its_own(folder, untrained, verb, options, written):
     """Nothing else has loaded robots, terrains and tasks there."""
     shutil.copy(untrained, "model_0.pt")
-    done = user(verb, "model_0.pt", *options)
+    done = processes.run(verb, "model_0.pt", *options)
     assert (done.returncode, done.stderr) == (0, "")
     assert (folder / f"model_0.{written}").is_file()
 

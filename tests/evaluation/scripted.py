@@ -15,6 +15,7 @@ from humoslope.evaluation.track.recorder import LegJoints, StepSample, TrackReco
 from robots.unitree_g1 import UNITREE_G1
 
 DT = 0.02
+LEGS = LegJoints(UNITREE_G1, torch.device("cpu"))
 TRACK = 10.0  # m
 SEGMENTS = (2.0, 5.0, 8.0)  # m, where the second, third and fourth segment begin
 
@@ -44,7 +45,7 @@ def sample(worlds: int, place: float | Tensor = 0.0, **values: float | Tensor) -
         joint_pos=joints["pos"],
         joint_vel=joints["vel"],
         joint_torque=joints["torque"],
-        legs=LegJoints(UNITREE_G1, torch.device("cpu")),
+        legs=LEGS,
     )
 
 

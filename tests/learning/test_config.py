@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from dataclasses import dataclass
-from functools import reduce
+from functools import cache, reduce
 from typing import Any, Literal
 
 import pytest
@@ -56,6 +56,12 @@ def test_an_unknown_preset_is_refused_with_those_there_are(task):
         apply_preset(build_task(task), "cpus")
 
 
+@pytest.fixture(scope="module")
+def without_options(task):
+    """without_options("cpu"): every leaf of the task's configuration with this preset and no other option."""
+    return cache(lambda preset: flat(plain(parse(TrainArgs(), task, ["--preset", preset])[0])))
+
+
 @pytest.mark.parametrize(
     ("options", "path", "value"),
     [
@@ -75,10 +81,10 @@ def test_an_unknown_preset_is_refused_with_those_there_are(task):
         (["--preset", "gpu", "--env.num-envs", "16"], "env.num_envs", 16),
     ],
 )
-def test_one_option_changes_one_field_however_deep(task, options, path, value):
-    preset = ["--preset", "cpu"] if "--preset" not in options else options[:2]
-    before = flat(plain(parse(TrainArgs(), task, preset)[0]))
-    after = flat(plain(parse(TrainArgs(), task, [*preset, *options])[0]))
+def test_one_option_changes_one_field_however_deep(task, without_options, options, path, value):
+    preset = options[1] if "--preset" in options else "cpu"
+    before = without_options(preset)
+    after = flat(plain(parse(TrainArgs(), task, ["--preset", preset, *options])[0]))
     assert after[path] == value
     assert {key for key in after if after[key] != before.get(key)} == {path}
 

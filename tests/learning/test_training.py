@@ -6,8 +6,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -29,6 +27,7 @@ from humoslope.learning.rng import seed_everything
 from humoslope.learning.run_folder import saved_options
 from humoslope.learning.trainer import Trainer, tf32_products
 from humoslope.managers import RewardTermCfg
+from tests import processes
 
 PATIENCE_S = 600.0
 """How long a child process may take before the test gives up on it; no result depends on it."""
@@ -50,13 +49,6 @@ def assert_same(first: Path, second: Path, but: tuple[str, ...] = ("/total_time"
     a, b = leaves(checkpoint.load(first)), leaves(checkpoint.load(second))
     assert a.keys() == b.keys()
     assert [path for path in a if path not in but and not same(a[path], b[path])] == []
-
-
-def start(*arguments: str) -> subprocess.Popen[str]:
-    code = "import sys; from humoslope.cli import main; sys.exit(main())"
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
 
 
 def test_one_seed_gives_one_result(train, finished, tmp_path):
@@ -128,16 +120,16 @@ def test_a_complete_run_has_nothing_left_to_do(finished, task, tmp_path, capsys)
 
 def test_a_killed_run_resumes_from_its_last_checkpoint(task, tiny, tmp_path):
     run = tmp_path / "run"
-    child = start("train", task, "--run-dir", str(run), *tiny, "--agent.max-iterations", "1000000")
+    child = processes.start("train", task, "--run-dir", str(run), *tiny, "--agent.max-iterations", "1000000")
     try:
         deadline = time.monotonic() + PATIENCE_S
         while not (run / "model_1.pt").exists():
-            assert child.poll() is None, child.communicate()[0]
+            assert child.poll() is None, child.wait()
             assert time.monotonic() < deadline
             time.sleep(0.05)
     finally:
-        child.send_signal(signal.SIGKILL)
-        child.communicate()
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait()
     last = checkpoint.latest(run)
     done = checkpoint.load(last, task)["iteration"] + 1
     assert last.name == f"model_{done - 1}.pt"

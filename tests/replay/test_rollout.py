@@ -34,11 +34,18 @@ def said_of(path: Path) -> str:
     return said
 
 
-def rewritten(rollout: Rollout, path: Path, header: dict[str, Any] | None = None, **arrays: Any) -> Path:
-    """The rollout's file with a changed header, and with changed arrays; None takes one away."""
+@pytest.fixture(scope="module")
+def saved(rollout: Rollout, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The arrays in the rollout's file."""
+    path = tmp_path_factory.mktemp("saved") / "walk.npz"
     rollout.save(path)
     with np.load(path) as archive:
-        whole = {name: archive[name] for name in archive.files} | arrays
+        return {name: archive[name] for name in archive.files}
+
+
+def rewritten(saved: dict[str, Any], path: Path, header: dict[str, Any] | None = None, **arrays: Any) -> Path:
+    """The rollout's file with a changed header, and with changed arrays; None takes one away."""
+    whole = saved | arrays
     if header is not None:
         whole["header"] = np.array(json.dumps(json.loads(str(whole["header"])) | header))
     with path.open("wb") as file:
@@ -104,19 +111,19 @@ def test_a_flipped_byte_is_found(rollout: Rollout, tmp_path: Path) -> None:
     assert "broken or truncated" in said_of(tmp_path / "flipped.npz")
 
 
-def test_a_newer_format_is_named(rollout: Rollout, tmp_path: Path) -> None:
-    path = rewritten(rollout, tmp_path / "walk.npz", header={"version": 2})
+def test_a_newer_format_is_named(saved: dict[str, Any], tmp_path: Path) -> None:
+    path = rewritten(saved, tmp_path / "walk.npz", header={"version": 2})
     assert "has format 2, of a newer HumoSlope; this one reads up to 1" in said_of(path)
 
 
-def test_what_is_missing_or_misshapen_is_named(rollout: Rollout, tmp_path: Path) -> None:
+def test_what_is_missing_or_misshapen_is_named(rollout: Rollout, saved: dict[str, Any], tmp_path: Path) -> None:
     path, rows = tmp_path / "walk.npz", len(rollout.columns)
-    assert "'com_pos_w' is missing" in said_of(rewritten(rollout, path, com_pos_w=None))
-    assert "'joint_pos' has shape (200, 28)" in said_of(rewritten(rollout, path, joint_pos=np.zeros((rows, 28))))
-    assert "'slope' has shape (199,)" in said_of(rewritten(rollout, path, slope=np.zeros(rows - 1)))
-    assert "no time steps" in said_of(rewritten(rollout, path, time=np.zeros(0)))
-    assert "'terrain_heights'" in said_of(rewritten(rollout, path, terrain_heights=np.zeros(3)))
-    assert "lacks 'robot.urdf'" in said_of(rewritten(rollout, path, header={"robot": {"name": "g1"}}))
+    assert "'com_pos_w' is missing" in said_of(rewritten(saved, path, com_pos_w=None))
+    assert "'joint_pos' has shape (200, 28)" in said_of(rewritten(saved, path, joint_pos=np.zeros((rows, 28))))
+    assert "'slope' has shape (199,)" in said_of(rewritten(saved, path, slope=np.zeros(rows - 1)))
+    assert "no time steps" in said_of(rewritten(saved, path, time=np.zeros(0)))
+    assert "'terrain_heights'" in said_of(rewritten(saved, path, terrain_heights=np.zeros(3)))
+    assert "lacks 'robot.urdf'" in said_of(rewritten(saved, path, header={"robot": {"name": "g1"}}))
 
 
 def header_with(rollout: Rollout, section: str, **fields: Any) -> dict[str, Any]:
@@ -150,68 +157,74 @@ def header_with(rollout: Rollout, section: str, **fields: Any) -> dict[str, Any]
     ],
 )
 def test_a_header_that_makes_no_sense_is_refused(
-    rollout: Rollout, tmp_path: Path, section: str, fields: dict[str, Any], said: str
+    rollout: Rollout, saved: dict[str, Any], tmp_path: Path, section: str, fields: dict[str, Any], said: str
 ) -> None:
-    path = rewritten(rollout, tmp_path / "walk.npz", header=header_with(rollout, section, **fields))
+    path = rewritten(saved, tmp_path / "walk.npz", header=header_with(rollout, section, **fields))
     assert said in said_of(path)
 
 
-def test_a_joint_that_the_urdf_lacks_or_cannot_turn_is_named(rollout: Rollout, tmp_path: Path) -> None:
+def test_a_joint_that_the_urdf_lacks_or_cannot_turn_is_named(
+    rollout: Rollout, saved: dict[str, Any], tmp_path: Path
+) -> None:
     path, names, urdf = tmp_path / "walk.npz", rollout.joint_names, rollout.header["robot"]["urdf"]
     other = [name.replace("left_knee", "left_kneee") for name in names]
     assert "joint 'left_kneee_joint' does not exist; did you mean 'left_knee_joint'?" in said_of(
-        rewritten(rollout, path, header=header_with(rollout, "robot", joint_names=other))
+        rewritten(saved, path, header=header_with(rollout, "robot", joint_names=other))
     )
     twice = [names[0], *names[:-1]]
     assert "it must be a list of texts, all different" in said_of(
-        rewritten(rollout, path, header=header_with(rollout, "robot", joint_names=twice))
+        rewritten(saved, path, header=header_with(rollout, "robot", joint_names=twice))
     )
     sliding = re.sub(r'(name="left_knee_joint"[^>]*type=)"revolute"', r'\1"prismatic"', urdf)
     assert sliding != urdf
     assert "the type of joint 'left_knee_joint' in its URDF is 'prismatic'; it must be revolute or conti" in said_of(
-        rewritten(rollout, path, header=header_with(rollout, "robot", urdf=sliding))
+        rewritten(saved, path, header=header_with(rollout, "robot", urdf=sliding))
     )
     fewer = header_with(rollout, "robot", joint_names=names[:-1])
     assert "'robot.default_joint_pos' in its header has 29 numbers; it must have 28" in said_of(
-        rewritten(rollout, path, header=fewer)
+        rewritten(saved, path, header=fewer)
     )
 
 
 @pytest.mark.parametrize("name", [*WIDTHS, "terrain_heights"])
-def test_a_number_that_is_not_finite_or_no_number_is_refused(rollout: Rollout, tmp_path: Path, name: str) -> None:
+def test_a_number_that_is_not_finite_or_no_number_is_refused(
+    rollout: Rollout, saved: dict[str, Any], tmp_path: Path, name: str
+) -> None:
     path, walk = tmp_path / "walk.npz", vars(rollout.columns) | {"terrain_heights": rollout.terrain_heights}
     whole = walk[name]
     if whole.dtype.kind == "f":
         for bad in (np.nan, np.inf, -np.inf, 1e300):
             spoilt = whole.astype(np.float64)
             spoilt[(7,) + (0,) * (whole.ndim - 1)] = bad
-            path = rewritten(rollout, path, **{name: spoilt})
+            path = rewritten(saved, path, **{name: spoilt})
             if name == "com_height_target" and np.isnan(bad):
                 assert np.isnan(load_rollout(path).columns.com_height_target).all()
             else:
                 assert f"'{name}' in row 7 is {'nan' if np.isnan(bad) else ''}" in said_of(path)
     for wrong in (whole.astype(str), whole.astype(complex)):
-        assert f"'{name}' is of type {wrong.dtype}; it must be" in said_of(rewritten(rollout, path, **{name: wrong}))
+        assert f"'{name}' is of type {wrong.dtype}; it must be" in said_of(rewritten(saved, path, **{name: wrong}))
 
 
-def test_rows_that_cannot_follow_each_other_are_refused(rollout: Rollout, tmp_path: Path) -> None:
+def test_rows_that_cannot_follow_each_other_are_refused(
+    rollout: Rollout, saved: dict[str, Any], tmp_path: Path
+) -> None:
     path, columns = tmp_path / "walk.npz", rollout.columns
-    assert "'time' does not increase" in said_of(rewritten(rollout, path, time=columns.time[::-1]))
-    assert "'episode' decreases" in said_of(rewritten(rollout, path, episode=columns.episode[::-1]))
+    assert "'time' does not increase" in said_of(rewritten(saved, path, time=columns.time[::-1]))
+    assert "'episode' decreases" in said_of(rewritten(saved, path, episode=columns.episode[::-1]))
     for name in ("root_quat_w", "ground_normal_w", "zmp_normal_w"):
         vectors = getattr(columns, name).copy()
         vectors[5] = 0.0
-        assert f"'{name}' in row 5 is [0. 0. 0." in said_of(rewritten(rollout, path, **{name: vectors}))
+        assert f"'{name}' in row 5 is [0. 0. 0." in said_of(rewritten(saved, path, **{name: vectors}))
 
 
 @pytest.mark.parametrize(
     "event", [3, {"time": 1.0}, {"time": "soon", "kind": "fall", "text": ""}, {"time": 1.0, "kind": "fall", "text": 2}]
 )
-def test_an_event_that_is_none_is_refused(rollout: Rollout, tmp_path: Path, event: Any) -> None:
-    path = rewritten(rollout, tmp_path / "walk.npz", header={"events": [event]})
+def test_an_event_that_is_none_is_refused(saved: dict[str, Any], tmp_path: Path, event: Any) -> None:
+    path = rewritten(saved, tmp_path / "walk.npz", header={"events": [event]})
     assert "it must be an object with time, kind and text" in said_of(path)
     assert "'events' in its header is None; it must be a list" in said_of(
-        rewritten(rollout, tmp_path / "walk.npz", header={"events": None})
+        rewritten(saved, tmp_path / "walk.npz", header={"events": None})
     )
 
 
@@ -225,7 +238,7 @@ json_values = st.recursive(
 @given(data=st.data(), value=json_values)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_whatever_stands_in_a_header_it_is_drawn_or_refused_in_one_sentence(
-    rollout: Rollout, tmp_path: Path, data: st.DataObject, value: Any
+    rollout: Rollout, saved: dict[str, Any], tmp_path: Path, data: st.DataObject, value: Any
 ) -> None:
     header = json.loads(json.dumps(rollout.header | {"events": []}))
     place: Any = header
@@ -236,7 +249,7 @@ def test_whatever_stands_in_a_header_it_is_drawn_or_refused_in_one_sentence(
             break
         place = inner
     place[key] = value
-    path = rewritten(rollout, tmp_path / "walk.npz", header=header)
+    path = rewritten(saved, tmp_path / "walk.npz", header=header)
     said = ""
     try:
         loaded = load_rollout(path)
@@ -260,6 +273,6 @@ def test_a_file_from_before_contact_of_the_robot_with_itself_was_recorded_is_rea
     assert np.isfinite(rollout.columns.self_force).all()
 
 
-def test_what_a_later_recording_adds_is_ignored(rollout: Rollout, tmp_path: Path) -> None:
-    path = rewritten(rollout, tmp_path / "walk.npz", header={"weather": "fine"}, temperature=np.zeros(3))
+def test_what_a_later_recording_adds_is_ignored(rollout: Rollout, saved: dict[str, Any], tmp_path: Path) -> None:
+    path = rewritten(saved, tmp_path / "walk.npz", header={"weather": "fine"}, temperature=np.zeros(3))
     assert len(load_rollout(path).columns) == len(rollout.columns)

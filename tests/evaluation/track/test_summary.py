@@ -117,9 +117,15 @@ def test_ninety_nine_of_a_hundred_instants_stay_below_the_quantile() -> None:
     assert knee_quantile(trials[:0], 0.99) is None
 
 
+@pytest.fixture(scope="module")
+def trials() -> TrackTrials:
+    return steady(1)
+
+
 @given(torque=st.floats(0.0, 138.0), share=st.floats(0.01, 0.99))
-def test_the_quantile_of_a_constant_torque_is_the_middle_of_its_bin(torque: float, share: float) -> None:
-    trials = steady(1)
+def test_the_quantile_of_a_constant_torque_is_the_middle_of_its_bin(
+    trials: TrackTrials, torque: float, share: float
+) -> None:
     histogram = np.zeros_like(trials.knee_histogram)
     histogram[0, math.floor(torque)] = 402
     assert knee_quantile(as_if(trials, knee_histogram=histogram), share) == math.floor(torque) + 0.5
