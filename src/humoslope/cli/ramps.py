@@ -54,14 +54,14 @@ def run(arguments: list[str]) -> None:
         results = summarise(run_trials(env, actor, protocol, on_step), protocol)
     took = time.monotonic() - started
 
-    console.print(table(results))
-    console.print(provenance.training, soft_wrap=True, highlight=False)
     warnings = env.sim.warnings()
-    warn(console, warnings)
     report = {
         "what": "ramps",
         **describe(env, provenance, protocol, took, warnings, ["ramps", *arguments]),
         "ramps": [plain(r) | {"fall_share": r.falls.share} for r in results],
     }
     write_text(out, json.dumps(report, indent=2, allow_nan=False) + "\n")
+    console.print(table(results))
+    console.print(provenance.training, soft_wrap=True, highlight=False)
+    warn(console, warnings)
     console.print(f"wrote {out}", soft_wrap=True)

@@ -15,6 +15,7 @@ from humoslope.cli.warm_start import Origin, find_origin
 from humoslope.cpu import thread_advice, usable_cores
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
+from humoslope.interrupts import Terminated
 from humoslope.learning import checkpoint
 from humoslope.learning.configuration import departures, trained_cfg
 from humoslope.learning.distributed import choose_device, process_group, read_processes
@@ -31,7 +32,8 @@ ONCE = ("--resume", "--run-dir", "--init", "--calibration")
 
 @dataclasses.dataclass(frozen=True)
 class TrainArgs:
-    """Trains a task in a run folder, or continues a run.
+    """Trains a task in a run folder, or continues a run. A training that a signal has stopped has saved its state, and
+    ends with exit code 128 + the signal's number (Ctrl-C 130, SIGTERM 143, SIGHUP 129); 0 means complete.
 
     Attributes:
         preset: Scale of the training; "auto" for the one that fits the machine.
@@ -110,7 +112,8 @@ def _train(
             _introduce_origin(console, cfg, resumed, origin)
             if env.device.type == "cpu" and (advice := thread_advice()):
                 console.print(f"[yellow]{advice}[/yellow]", soft_wrap=True)
-        trainer.train()
+        if not trainer.train():
+            raise Terminated(trainer.stopped_by)
 
 
 def _resumed_cfg(start: Path, task: str) -> TaskCfg:

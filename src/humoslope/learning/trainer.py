@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,7 @@ class Trainer:
 
     Attributes:
         iteration: Number of iterations that are done.
+        stopped_by: The signal that ended the last `train` early, 0 if none did.
 
     Raises:
         UserError: If the configuration of the agent is impossible or does not fit the environment.
@@ -66,15 +68,21 @@ class Trainer:
         self._parent: dict[str, Any] | None = None
         self._config = pack(cfg)
         self._last_saved: Path | None = None
+        self._half_learnt = False  # an update has begun that has not ended well
+        self.stopped_by = 0
 
     def train(self) -> bool:
-        """Trains up to the configured number of iterations; SIGINT or SIGTERM saves and ends it early.
+        """Trains up to the configured number of iterations.
+
+        SIGINT, SIGTERM and SIGHUP save and end it early. So does any exception, unless it comes in the middle of an
+        update: then the last checkpoint is named.
 
         Returns:
             Whether training is complete.
 
         Raises:
-            UserError: If a reward, an observation or a weight is not finite. The last good checkpoint is kept.
+            UserError: If a reward, an observation or a weight is not finite, or a checkpoint cannot be written. The
+                last good checkpoint is kept.
         """
         last, first = self.cfg.agent.max_iterations, self.iteration
         if first >= last:
@@ -94,9 +102,13 @@ class Trainer:
                     (stopping,) = any_process((interrupt.requested,), self.env.device)
                     if stopping or self._is_saved_now(last):
                         self._save(curves)
+        except Exception as error:
+            self._rescue(error)
+            raise
         finally:
             curves.close()
         if self.iteration < last:
+            self.stopped_by = interrupt.number or signal.SIGTERM  # or another process got the signal
             self._console.print(f"Stopped after iteration {self.iteration}; saved {self._last_saved}.")
         return self.iteration == last
 
@@ -122,6 +134,7 @@ class Trainer:
         obs = self._collect()
         collected = self._now()
         self._require_finite_values()
+        self._half_learnt = True
         with tf32_products(self.env.device):
             losses = self.learner.update(obs)
         if self._processes.size > 1:
@@ -133,6 +146,7 @@ class Trainer:
         self.total_steps += steps
         self.total_time += learned - start
         self._require_finite_losses(losses)
+        self._half_learnt = False
         return {
             **self.env.log.flush(),
             **losses,
@@ -233,9 +247,7 @@ class Trainer:
         (failed,) = any_process((bool(found),), self.env.device)
         if not failed:
             return
-        if self.run_dir is not None and self.iteration > 0 and self._model_path() != self._last_saved:
-            self._last_saved = self._model_path()
-            self.save(self._last_saved)
+        self._keep_last_good()
         raise self._diverged("; ".join(found) or "another process met a value that is not finite", self.iteration + 1)
 
     def _require_finite_losses(self, losses: dict[str, float]) -> None:
@@ -245,8 +257,28 @@ class Trainer:
             raise self._diverged(f"{', '.join(broken) or 'a loss of another process'} is not finite", self.iteration)
 
     def _diverged(self, said: str, iteration: int) -> UserError:
-        kept = f"the last good checkpoint is {self._last_saved}" if self._last_saved else "there is no checkpoint yet"
-        return UserError(f"{said} (iteration {iteration}); {kept}.")
+        return UserError(f"{said} (iteration {iteration}); {self._kept()}.")
+
+    def _kept(self) -> str:
+        return f"the last good checkpoint is {self._last_saved}" if self._last_saved else "there is no checkpoint yet"
+
+    def _keep_last_good(self) -> None:
+        """Saves the weights of the last complete iteration, unless they are saved already or half changed."""
+        if self.run_dir is None or self.iteration == 0 or self._half_learnt:
+            return
+        path = self._model_path()
+        if path != self._last_saved:
+            self.save(path)
+            self._last_saved = path
+
+    def _rescue(self, error: Exception) -> None:
+        """Keeps what can be kept when an error ends the run, and says what that is."""
+        if isinstance(error, UserError):
+            return
+        with suppress(UserError):
+            self._keep_last_good()
+        what = type(error).__name__
+        self._console.print(f"{what} after {self.iteration} iterations; {self._kept()}.", soft_wrap=True)
 
     def _is_saved_now(self, last: int) -> bool:
         return self.iteration == last or (self.iteration - 1) % self.cfg.agent.save_interval == 0
@@ -255,7 +287,12 @@ class Trainer:
         if self.run_dir is None:
             return
         path = self._model_path()
-        self.save(path)
+        if not self.run_dir.is_dir():
+            self._console.print(f"[yellow]The run folder {self.run_dir} was removed; it is made anew.[/yellow]")
+        try:
+            self.save(path)
+        except UserError as error:
+            raise UserError(f"{str(error).rstrip('.')}; {self._kept()}.") from error
         self._last_saved = path
         curves.flush()
         curves.upload(path, self.iteration - 1)

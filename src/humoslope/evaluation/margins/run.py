@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
-import signal
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -23,7 +22,7 @@ from humoslope.errors import UserError
 from humoslope.evaluation.margins.quantities import Name, Quantity, Setup, Success, quantities
 from humoslope.evaluation.margins.search import FIRST_LOOK, Rule, Search
 from humoslope.files import write_text
-from humoslope.interrupts import Interrupt
+from humoslope.interrupts import Interrupt, leave_signals_to_parent
 
 TRIALS_VERSION = 1
 """Increased when a trial of the same key becomes another one."""
@@ -204,7 +203,7 @@ class Certificate:
         """
         pool = None
         if processes > 1:
-            pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _ignore_signals)
+            pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), leave_signals_to_parent)
         try:
             if not self._drive([self._values(NOMINAL)], pool, processes, interrupt, on_progress):
                 return False
@@ -349,9 +348,3 @@ class Certificate:
             "share_at_least": self._rule.lower(series.successes, n),
             "mean_speed": float(np.mean(lasted)) if lasted else None,
         }
-
-
-def _ignore_signals() -> None:
-    """Leaves Ctrl-C, which reaches every process, and SIGTERM to the first process, which ends the others."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
