@@ -11,6 +11,7 @@ import torch
 from rich.console import Console
 from torch import Tensor
 
+from humoslope import snapshot
 from humoslope.cpu import on_one_thread
 from humoslope.managers import (
     ActionManager,
@@ -132,6 +133,13 @@ class EnvCfg(StrictCfg):
     observers: Terms[TermCfg] = field(default_factory=Terms)
 
 
+REMEMBERING = (
+    *("commands", "actions", "events", "curriculum", "terminations", "observations", "observers", "rewards"),
+    *("tiles", "drives", "masses", "measurements"),
+)
+"""Parts of an environment that remember something from step to step."""
+EPISODES = ("episode_length_buf", "steps_since_reset", "start_root_pos_w", "diverged")
+"""What an environment itself remembers."""
 BYTES_PER_ENV = 150_000
 """Memory of an env on the CPU beyond histories and scans: 190 kB in all were measured with Stage I, from 512 to 4096
 envs."""
@@ -392,6 +400,45 @@ class ManagerBasedRlEnv:
         self._obs = self.observations.compute(everywhere)
         if self._keeps_terminal_observations:
             self.terminal_observations = self._obs
+
+    def snapshot(self) -> dict[str, Any] | None:
+        """Returns a copy of all that `state_dict` leaves out: physics, episodes and the memory of every manager and
+        term. With the states of the random generators the steps to come follow from it, bit for bit.
+
+        None if the physics cannot go on exactly (see `Simulation.snapshot`).
+        """
+        physics = self.sim.snapshot()
+        if physics is None:
+            return None
+        return {
+            "physics": physics,
+            "memory": snapshot.take(*self._remembering(), self.sim.owns),
+            "episodes": {name: getattr(self, name).clone() for name in EPISODES},
+            "obs": {name: self._obs[name].clone() for name in self.observations.groups},
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Goes on from the snapshot of an environment of the same configuration.
+
+        Raises:
+            KeyError, ValueError, RuntimeError: If it is one of another configuration.
+        """
+        from tensordict import TensorDict
+
+        self.sim.restore(state["physics"])
+        snapshot.put(state["memory"], *self._remembering())
+        for name in EPISODES:
+            setattr(self, name, state["episodes"][name])
+        self.signals.refresh()
+        self._obs = TensorDict(state["obs"], batch_size=[self.num_envs], device=self.device)
+        if self._keeps_terminal_observations:
+            self.terminal_observations = self._obs
+
+    def _remembering(self) -> tuple[dict[str, object], list[object]]:
+        """The parts with a memory by name, and the parts without one that they refer to."""
+        roots = {name: value for name, value in vars(self).items() if name in REMEMBERING}
+        others = [value for name, value in vars(self).items() if name not in REMEMBERING]
+        return roots, [self, *others, *self.finite.sources]
 
     def describe(self, console: Console) -> None:
         """Prints a table of every manager."""

@@ -101,6 +101,23 @@ def check_place(path: Path) -> None:
         raise UserError(f"cannot write '{path}': '{existing}' is no folder one can write to.")
 
 
+def read_bytes(kind: str, path: Path) -> bytes:
+    """The content of a file.
+
+    Args:
+        kind: Kind of file, for the message.
+
+    Raises:
+        UserError: If it does not exist, is no file or cannot be read.
+    """
+    try:
+        if not path.is_file():
+            raise UserError(f"{kind} '{path}' does not exist.")
+        return path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{kind} '{path}' cannot be read: {error.strerror}.") from None
+
+
 def write_text(path: Path, text: str) -> None:
     """Writes a text file in one step."""
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -101,15 +101,18 @@ def _train(
         stack.enter_context(process_group(processes, str(env.device)))
         console = stack.enter_context(tee(None if run_dir is None else run_dir / "console.log"))
         trainer = Trainer(task, cfg, env, run_dir, console, processes)
+        how = ""
         if resumed is not None:
-            trainer.resume(resumed)
+            how = trainer.resume(resumed)
         elif origin.parent is not None:
             trainer.warm_start(origin.parent.path)
         if run_dir is not None:
             source = origin.parent.path if origin.parent is not None else resumed
             record_start(run_dir, task, cfg, options, trainer.iteration, trainer.total_steps, source)
             _introduce(console, task, env, run_dir)
-            _introduce_origin(console, cfg, resumed, origin)
+            if resumed is not None:
+                console.print(f"Resumed from {resumed}. {how}", soft_wrap=True, highlight=False)
+            _introduce_origin(console, cfg, origin)
             if env.device.type == "cpu" and (advice := thread_advice()):
                 console.print(f"[yellow]{advice}[/yellow]", soft_wrap=True)
         if not trainer.train():
@@ -156,9 +159,7 @@ def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Pat
     env.describe(console)
 
 
-def _introduce_origin(console: Console, cfg: TaskCfg, resumed: Path | None, origin: Origin) -> None:
-    if resumed is not None:
-        console.print(f"Resumed from {resumed}.")
+def _introduce_origin(console: Console, cfg: TaskCfg, origin: Origin) -> None:
     if (parent := origin.parent) is None:
         return
     console.print(

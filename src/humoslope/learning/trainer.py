@@ -28,6 +28,8 @@ from humoslope.packing import pack
 from humoslope.provenance import commit
 from humoslope.registry import TaskCfg
 
+EPISODES = "episodes.pt"
+"""File beside the newest checkpoint of a run with the state of its episodes; 20 kB for an env of Stage I."""
 RANK_SEED_STRIDE = 1_000_003
 """Distance in seed between the iterations at which the processes beyond the first one resume; a prime number."""
 
@@ -70,6 +72,7 @@ class Trainer:
         self._last_saved: Path | None = None
         self._half_learnt = False  # an update has begun that has not ended well
         self.stopped_by = 0
+        self._goes_on = False  # the episodes are those of a run that was stopped
 
     def train(self) -> bool:
         """Trains up to the configured number of iterations.
@@ -88,7 +91,8 @@ class Trainer:
         if first >= last:
             self._console.print(f"Nothing left to do: {first} iterations are done.")
             return True
-        self.start_episodes()
+        if not self._goes_on:
+            self.start_episodes()
         curves = CurveWriter(self.run_dir, self.cfg.agent)
         line = ProgressLine(self._console, first, last)
         try:
@@ -182,10 +186,17 @@ class Trainer:
             "formerly": (),
         }
 
-    def resume(self, path: Path) -> None:
+    def resume(self, path: Path) -> str:
         """Continues from a checkpoint of the same task: networks, optimisers, curricula, counters and random numbers.
 
-        Every process beyond the first draws new random numbers, since a checkpoint holds only those of the first.
+        The newest checkpoint of a run of one process on the native backend has its episodes beside it, in `EPISODES`:
+        physics, commands, histories, and all else that terms remember. From there the run goes on as if it had never
+        been stopped, bit for bit with a learner whose `state_dict` is complete, as PPO's is. Otherwise every episode
+        starts anew. Every process beyond the first draws new random numbers, since a checkpoint holds only those of the
+        first.
+
+        Returns:
+            A sentence that says which of the two it is, and why.
 
         Raises:
             UserError: If it cannot be used here.
@@ -206,6 +217,11 @@ class Trainer:
             restore_rng(state["rng"], self.env.device)
         else:
             seed_everything((self.cfg.env.seed + RANK_SEED_STRIDE * self.iteration) % 2**32)
+        missing = self._resume_episodes(path, state)
+        self._goes_on = not missing
+        if self._goes_on:
+            return "Its episodes go on where they were."
+        return f"Its episodes start anew ({missing}), so that it departs from a run that was never stopped."
 
     def warm_start(self, path: Path) -> None:
         """Takes the policy, with its normaliser, from a checkpoint of any task; everything else starts anew.
@@ -231,6 +247,31 @@ class Trainer:
                 learner.take(Transition(obs, action, reward, terminated, time_outs, next_obs, terminal))
                 obs = next_obs
         return obs
+
+    def _resume_episodes(self, path: Path, state: dict[str, Any]) -> str:
+        """Goes on with the episodes beside a checkpoint that was loaded; returns why that is impossible, or ""."""
+        beside = path.parent / EPISODES
+        if self._processes.size > 1 or self.env.sim.backend != "native":
+            return "only one process on the native backend keeps them"
+        if not beside.is_file():
+            return f"there is no {EPISODES} beside it"
+        if state["config"] is None or state["config"]["env"] != self._config["env"]:
+            return "the environment is configured differently now"
+        try:
+            kept = checkpoint.load_sealed(beside)
+            if kept["checkpoint"] != checkpoint.digest(path):
+                return f"{EPISODES} belongs to another checkpoint"
+            self.env.restore(kept["state"])
+        except (UserError, KeyError, TypeError, ValueError, RuntimeError):
+            return f"{EPISODES} is damaged or of another version"
+        return ""
+
+    def _save_episodes(self, path: Path) -> None:
+        """Writes the state of all episodes beside a checkpoint that was saved at `path`, if it can be continued."""
+        state = self.env.snapshot() if self._processes.size == 1 else None
+        if state is not None:
+            kept = {"checkpoint": checkpoint.digest(path), "state": state}
+            checkpoint.save_sealed(path.parent / EPISODES, kept)
 
     def _now(self) -> float:
         """The time, s, once the device has done what it was asked for."""
@@ -291,6 +332,7 @@ class Trainer:
             self._console.print(f"[yellow]The run folder {self.run_dir} was removed; it is made anew.[/yellow]")
         try:
             self.save(path)
+            self._save_episodes(path)
         except UserError as error:
             raise UserError(f"{str(error).rstrip('.')}; {self._kept()}.") from error
         self._last_saved = path

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +31,7 @@ from humoslope.interrupts import Interrupt, deferred_interrupts
 from humoslope.learning.policy import Provenance, load_actor, read_spec
 from humoslope.provenance import git_state, plain
 from humoslope.registry import TaskCfg
+from humoslope.seal import write_json
 
 REFRESH_S = 2.0
 """Time between two updates of the table on the screen, s."""
@@ -196,10 +196,10 @@ def _conclude(console: Console, evaluations: list[_Evaluation], plan: Plan, chec
         paper = read_paper()
         sheets = [main_table(results, paper), ablation_table(results, paper), diagnostics_table(results), *sheets]
     texts = {
-        ".json": json.dumps(report, indent=2, allow_nan=False) + "\n",
         ".csv": sheets[-1].to_csv(),
         ".md": "\n".join(sheet.to_markdown() for sheet in sheets),
     }
+    write_json(_beside(out, ".json"), report)
     for end, text in texts.items():
         write_text(_beside(out, end), text)
 
@@ -218,7 +218,7 @@ def _conclude(console: Console, evaluations: list[_Evaluation], plan: Plan, chec
             console.print(f"[yellow]physics: {warning}[/yellow]")
     if not plan.sweep:
         sheets[0].show()
-    for end in texts:
+    for end in (".json", *texts):
         console.print(f"wrote {_beside(out, end)}", soft_wrap=True)
 
 
