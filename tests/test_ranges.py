@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,17 +13,21 @@ from hypothesis import strategies as st
 
 from humoslope.errors import UserError
 from humoslope.ranges import (
+    LARGEST,
+    SMALLEST,
     Finite,
     Limit,
+    NotEmpty,
     NotNegative,
     NotNegativeSpan,
     Positive,
     Range,
     Share,
     Span,
-    check_fields,
+    check_config,
     check_params,
     hints_of,
+    in_words,
 )
 from humoslope.strict import StrictCfg
 
@@ -32,6 +37,10 @@ if TYPE_CHECKING:
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
+def sized(value):
+    return value == 0.0 or abs(value) >= SMALLEST
+
+
 @given(
     value=anything, low=st.floats(-5.0, 0.0), width=st.floats(0.1, 5.0), ends=st.tuples(st.booleans(), st.booleans())
 )
@@ -39,15 +48,15 @@ def test_a_range_holds_what_lies_between_its_bounds_and_they_themselves_unless_t
     high = low + width
     bounds = Range(low, high, open_low=ends[0], open_high=ends[1])
     assert (value in bounds) == (
-        low < value < high or (value == low and not ends[0]) or (value == high and not ends[1])
+        sized(value) and (low < value < high or (value == low and not ends[0]) or (value == high and not ends[1]))
     )
-    assert (low in bounds, high in bounds) == (not ends[0], not ends[1])
+    assert (low in bounds, high in bounds) == (not ends[0] and sized(low), not ends[1] and sized(high))
     assert (bounds.fault(value) is None) == (value in bounds)
 
 
 @given(low=anything, high=anything)
 def test_a_pair_is_in_a_range_if_both_are_and_the_lowest_comes_first(low, high):
-    assert (Range(0.0).fault((low, high)) is None) == (0.0 <= low <= high < math.inf)
+    assert (Range(0.0).fault((low, high)) is None) == (0.0 <= low <= high <= LARGEST and sized(low) and sized(high))
 
 
 @pytest.mark.parametrize(
@@ -64,11 +73,17 @@ def test_a_pair_is_in_a_range_if_both_are_and_the_lowest_comes_first(low, high):
         (Range(0.0, 1.0, open_high=True), "between 0 and 1, 1 excluded"),
         (Range(0.0, 1.0, open_low=True, open_high=True), "between 0 and 1, both excluded"),
         (Range(0.0, open_low=True, infinite=True), "positive, or inf for no limit"),
+        (Range(1, 1_000_000), "between 1 and 1,000,000"),
     ],
 )
 def test_a_range_is_said_in_words(bounds, words):
     assert str(bounds) == words
     assert bounds.fault("many") == f"it must be {words}"
+
+
+@dataclass
+class Inner(StrictCfg):
+    share: Share = 0.5
 
 
 @dataclass
@@ -81,6 +96,12 @@ class Settings(StrictCfg):
     nested: dict[str, Any] = field(default_factory=dict)
     count: Annotated[int, Range(1)] = 1
     other: Unknown | None = None
+    widths: Annotated[tuple[Annotated[int, Range(1, 64)], ...], NotEmpty()] = (8,)
+    shares: Mapping[str, NotNegative] = field(default_factory=dict)
+    perhaps: Positive | None = None
+    inner: Inner = field(default_factory=Inner)
+    terms: dict[str, Inner] = field(default_factory=dict)
+    text: str = ""
 
 
 @dataclass
@@ -91,21 +112,33 @@ class More(Settings):
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("rate", 0.0, "settings: rate is 0; it must be positive."),
-        ("clip", -math.inf, "settings: clip is -inf; it must be positive, or inf for no limit."),
-        ("times", (2.0, 1.0), "settings: times is (2, 1); it must be (lowest, highest), two finite numbers."),
-        ("times", (2.0,), "settings: times is (2); it must be (lowest, highest), two finite numbers."),
-        ("mode", "c", "settings: mode is 'c'; it must be 'a' or 'b'."),
-        ("plain", math.nan, "settings: plain is nan; it must be finite."),
-        ("count", 0, "settings: count is 0; it must be 1 or more."),
-        ("count", True, "settings: count is True; it must be 1 or more."),
-        ("share", 1.5, "settings: share is 1.5; it must be between 0 and 1."),
+        ("rate", 0.0, "settings.rate is 0; it must be positive."),
+        ("clip", -math.inf, "settings.clip is -inf; it must be positive, or inf for no limit."),
+        ("times", (2.0, 1.0), "settings.times is (2, 1); it must be (lowest, highest), two finite numbers."),
+        ("times", (2.0,), "settings.times is (2); it must be (lowest, highest), two finite numbers."),
+        ("mode", "c", "settings.mode is 'c'; it must be 'a' or 'b'."),
+        ("plain", math.nan, "settings.plain is nan; it must be finite."),
+        ("count", 0, "settings.count is 0; it must be 1 or more."),
+        ("count", True, "settings.count is True; it must be 1 or more."),
+        ("count", 1.5, "settings.count is 1.5; it must be a whole number."),
+        ("rate", "many", "settings.rate is 'many'; it must be positive."),
+        ("rate", 1e300, "settings.rate is 1e+300; it must be positive, of a size between 1e-09 and 1,000,000."),
+        ("rate", 1e-300, "settings.rate is 1e-300; it must be positive, of a size between 1e-09 and 1,000,000."),
+        ("widths", (), "settings.widths is (); it must have at least one."),
+        ("widths", (8, 0), "settings.widths is (8, 0); of each, it must be between 1 and 64."),
+        ("widths", 8, "settings.widths is 8; it must be a list."),
+        ("shares", {"a": -1.0}, "settings.shares is {'a': -1.0}; of 'a', it must be 0 or more."),
+        ("perhaps", -1.0, "settings.perhaps is -1; it must be positive."),
+        ("inner", Inner(2.0), "settings.inner.share is 2; it must be between 0 and 1."),
+        ("terms", {"one": Inner(-1.0)}, "settings.terms.one.share is -1; it must be between 0 and 1."),
+        ("text", 3, "settings.text is 3; it must be a text."),
+        ("share", 1.5, "settings.share is 1.5; it must be between 0 and 1."),
     ],
 )
 def test_a_field_outside_its_range_is_refused_in_one_sentence(name, value, said):
-    check_fields("settings", More())
+    check_config("settings", More())
     with pytest.raises(UserError) as caught:
-        check_fields("settings", More(**{name: value}))
+        check_config("settings", More(**{name: value}))
     assert str(caught.value) == said
 
 
@@ -133,3 +166,14 @@ def test_a_parameter_outside_its_range_is_refused_in_one_sentence(params, said):
 def test_a_name_that_only_type_checkers_know_is_no_obstacle():
     assert hints_of(function)["env"] is Any
     assert hints_of(function)["level"] == NotNegative
+
+
+def test_ranges_of_all_sorts_of_fields_are_said_in_words():
+    said = {name: in_words(hint) for name, hint in hints_of(More).items()}
+    assert (said["rate"], said["count"], said["share"]) == ("positive", "1 or more", "between 0 and 1")
+    assert (said["times"], said["widths"], said["shares"]) == (
+        "each a finite number",
+        "each between 1 and 64",
+        "each 0 or more",
+    )
+    assert (said["perhaps"], said["clip"], said["text"]) == ("positive", "positive, or inf for no limit", "")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import mujoco
 import numpy as np
@@ -12,8 +11,8 @@ import torch
 from rich.console import Console
 from torch import Tensor
 
+from humoslope import snapshot
 from humoslope.cpu import on_one_thread
-from humoslope.errors import UserError
 from humoslope.managers import (
     ActionManager,
     CommandManager,
@@ -36,6 +35,8 @@ from humoslope.managers import (
     commanded_and_walked,
     control_steps,
 )
+from humoslope.memory import require_memory
+from humoslope.ranges import Range, Seed, check_config
 from humoslope.scene.drives import Drives
 from humoslope.scene.height_scan import HeightScan, HeightScanCfg
 from humoslope.scene.masses import Masses
@@ -72,16 +73,16 @@ class SimCfg(StrictCfg):
             by default. It concerns observations with `measured`.
     """
 
-    timestep: float = 0.005
-    decimation: int = 4
+    timestep: Annotated[float, Range(1e-4, 0.05)] = 0.005
+    decimation: Annotated[int, Range(1, 1000)] = 4
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     backend: Literal["auto", "native", "warp"] = "auto"
     device: str = "auto"
-    num_threads: int = 0
-    nconmax: int = 48
-    njmax: int = 192
-    max_control_delay_s: float = 0.0
-    observation_age_s: float | None = None
+    num_threads: Annotated[int, Range(0, 1024)] = 0
+    nconmax: Annotated[int, Range(1, 10_000)] = 48
+    njmax: Annotated[int, Range(1, 10_000)] = 192
+    max_control_delay_s: Annotated[float, Range(0.0, 0.5)] = 0.0
+    observation_age_s: Annotated[float, Range(0.0, 0.5, open_low=True)] | None = None
 
 
 @dataclass
@@ -120,9 +121,9 @@ class EnvCfg(StrictCfg):
 
     scene: SceneCfg
     sim: SimCfg = field(default_factory=SimCfg)
-    num_envs: int = 512
-    episode_length_s: float = 20.0
-    seed: int = 1
+    num_envs: Annotated[int, Range(1, 1_000_000)] = 512
+    episode_length_s: Annotated[float, Range(0.0, 100_000.0, open_low=True)] = 20.0
+    seed: Seed = 1
     actions: JointPositionActionCfg = field(default_factory=JointPositionActionCfg)
     command: VelocityCommandCfg = field(default_factory=VelocityCommandCfg)
     observations: Terms[ObservationGroupCfg] = field(default_factory=Terms)
@@ -131,6 +132,28 @@ class EnvCfg(StrictCfg):
     events: Terms[EventTermCfg] = field(default_factory=Terms)
     curriculum: Terms[TermCfg] = field(default_factory=Terms)
     observers: Terms[TermCfg] = field(default_factory=Terms)
+
+
+REMEMBERING = (
+    *("commands", "actions", "events", "curriculum", "terminations", "observations", "observers", "rewards"),
+    *("tiles", "drives", "masses", "measurements"),
+)
+"""Parts of an environment that remember something from step to step."""
+EPISODES = ("episode_length_buf", "steps_since_reset", "start_root_pos_w", "diverged")
+"""What an environment itself remembers."""
+BYTES_PER_ENV = 150_000
+"""Memory of an env on the CPU beyond histories and scans: 190 kB in all were measured with Stage I, from 512 to 4096
+envs."""
+
+
+def _bytes_per_env(cfg: EnvCfg) -> float:
+    """A low estimate of the memory of an env, for a refusal before anything is built."""
+    frames = sum(group.history for group in cfg.observations.values())
+    history = 4 * 4 * 100 * frames  # four copies of some 100 numbers in single precision
+    past = cfg.sim.max_control_delay_s + (cfg.sim.observation_age_s or 0.0)
+    delayed = 8 * 100 * past / cfg.sim.timestep
+    scanned = 4 * 20 * cfg.scene.height_scan.size**2
+    return BYTES_PER_ENV + history + delayed + scanned
 
 
 class ManagerBasedRlEnv:
@@ -158,10 +181,9 @@ class ManagerBasedRlEnv:
     terminal_observations: TensorDict
 
     def __init__(self, cfg: EnvCfg) -> None:
-        if cfg.num_envs < 1:
-            raise UserError(f"num_envs {cfg.num_envs} must be at least 1.")
-        if not 0.0 < cfg.sim.timestep < math.inf or cfg.sim.decimation < 1:
-            raise UserError("sim.timestep must be positive and finite, sim.decimation at least 1.")
+        check_config("env", cfg)
+        if cfg.sim.device in ("auto", "cpu"):
+            require_memory("env.num_envs", cfg.num_envs, _bytes_per_env(cfg))
         self.cfg = cfg
         self.robot = cfg.scene.robot
         self.num_envs = cfg.num_envs
@@ -380,6 +402,45 @@ class ManagerBasedRlEnv:
         self._obs = self.observations.compute(everywhere)
         if self._keeps_terminal_observations:
             self.terminal_observations = self._obs
+
+    def snapshot(self) -> dict[str, Any] | None:
+        """Returns a copy of all that `state_dict` leaves out: physics, episodes and the memory of every manager and
+        term. With the states of the random generators the steps to come follow from it, bit for bit.
+
+        None if the physics cannot go on exactly (see `Simulation.snapshot`).
+        """
+        physics = self.sim.snapshot()
+        if physics is None:
+            return None
+        return {
+            "physics": physics,
+            "memory": snapshot.take(*self._remembering(), self.sim.owns),
+            "episodes": {name: getattr(self, name).clone() for name in EPISODES},
+            "obs": {name: self._obs[name].clone() for name in self.observations.groups},
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Goes on from the snapshot of an environment of the same configuration.
+
+        Raises:
+            KeyError, ValueError, RuntimeError: If it is one of another configuration.
+        """
+        from tensordict import TensorDict
+
+        self.sim.restore(state["physics"])
+        snapshot.put(state["memory"], *self._remembering())
+        for name in EPISODES:
+            setattr(self, name, state["episodes"][name])
+        self.signals.refresh()
+        self._obs = TensorDict(state["obs"], batch_size=[self.num_envs], device=self.device)
+        if self._keeps_terminal_observations:
+            self.terminal_observations = self._obs
+
+    def _remembering(self) -> tuple[dict[str, object], list[object]]:
+        """The parts with a memory by name, and the parts without one that they refer to."""
+        roots = {name: value for name, value in vars(self).items() if name in REMEMBERING}
+        others = [value for name, value in vars(self).items() if name not in REMEMBERING]
+        return roots, [self, *others, *self.finite.sources]
 
     def describe(self, console: Console) -> None:
         """Prints a table of every manager."""

@@ -1,7 +1,8 @@
 """Ranges of parameters, declared at the parameter: `speed: NotNegative`, `soft: Annotated[float, Range(0.0, 1.0)]`.
 
 A declaration is the metadata of an `Annotated` type. It serves parameters of terms, which `managers.terms.bind` checks
-when the term is built, and fields of configuration dataclasses, which `check_fields` checks.
+when the term is built, and fields of configuration dataclasses, which `check_config` checks before anything is built.
+`--help` shows it, see `in_words`.
 """
 
 from __future__ import annotations
@@ -13,9 +14,14 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol, get_args, get_origin, get_type_hints, runtime_checkable
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints, runtime_checkable
 
 from humoslope.errors import UserError
+
+SMALLEST, LARGEST = 1e-9, 1e6
+"""Sizes between which a number other than zero makes sense, in SI units or as a weight: squares and products of such
+numbers stay within single precision."""
 
 
 @runtime_checkable
@@ -33,7 +39,10 @@ class Declaration(Protocol):
 
 @dataclass(frozen=True)
 class Range:
-    """Real numbers between two bounds. A pair of numbers is a range itself: its lowest and its highest value.
+    """Numbers between two bounds. A pair of numbers is a range itself: its lowest and its highest value.
+
+    Whatever the bounds, a number is finite and of a size that makes sense, see `LARGEST`, except that bounds may be
+    further out.
 
     Attributes:
         low, high: Bounds. Finite ones belong to the range, unless they are open.
@@ -50,34 +59,46 @@ class Range:
     def __contains__(self, value: float) -> bool:
         if math.isinf(value):
             return self.infinite and value > 0.0
+        return self._within(value) and self._sized(value)
+
+    def _within(self, value: float) -> bool:
         above = value > self.low if self.open_low else value >= self.low
         below = value < self.high if self.open_high else value <= self.high
         return above and below  # False for NaN
 
+    def _sized(self, value: float) -> bool:
+        known = math.isfinite(self.high) and math.isfinite(self.low)
+        return value == 0.0 or (abs(value) >= SMALLEST and (known or abs(value) <= LARGEST))
+
     def __str__(self) -> str:
         """The range in words, such as "positive" or "between 0 and 1"."""
         low, high = math.isfinite(self.low), math.isfinite(self.high)
+        least, most = _in_digits(self.low), _in_digits(self.high)
         if low and high:
-            ends = {(True, True): ", both excluded", (True, False): f", {self.low:g} excluded"}
-            ends[False, True] = f", {self.high:g} excluded"
-            words = f"between {self.low:g} and {self.high:g}{ends.get((self.open_low, self.open_high), '')}"
+            ends = {(True, True): ", both excluded", (True, False): f", {least} excluded"}
+            ends[False, True] = f", {most} excluded"
+            words = f"between {least} and {most}{ends.get((self.open_low, self.open_high), '')}"
         elif low:
-            words = f"more than {self.low:g}" if self.open_low else f"{self.low:g} or more"
+            words = f"more than {least}" if self.open_low else f"{least} or more"
             words = "positive" if words == "more than 0" else words
         elif high:
-            words = f"less than {self.high:g}" if self.open_high else f"{self.high:g} or less"
+            words = f"less than {most}" if self.open_high else f"{most} or less"
         else:
             words = "a finite number"
         return f"{words}, or inf for no limit" if self.infinite else words
 
     def fault(self, value: Any, env: Any = None) -> str | None:
         """See `Declaration.fault`."""
+        numbers = value if isinstance(value, tuple | list) else (value,)
+        numeric = all(_is_number(v) for v in numbers)
+        unsized = numeric and any(math.isfinite(v) and not self._sized(v) for v in numbers)
+        size = f", of a size between {SMALLEST:g} and {_in_digits(LARGEST)}" if unsized else ""
         if isinstance(value, tuple | list):
-            if len(value) == 2 and all(_is_number(v) and v in self for v in value) and value[0] <= value[1]:
+            if len(value) == 2 and numeric and all(v in self for v in value) and value[0] <= value[1]:
                 return None
             each = "two finite numbers" if str(self) == "a finite number" else f"each {self}"
-            return f"it must be (lowest, highest), {each}"
-        return None if _is_number(value) and value in self else f"it must be {self}"
+            return f"it must be (lowest, highest), {each}{size}"
+        return None if numeric and value in self else f"it must be {self}{size}"
 
 
 Finite = Annotated[float, Range()]
@@ -90,13 +111,23 @@ Span = Annotated[tuple[float, float], Range()]
 """Lowest and highest value of something that is drawn at random."""
 NotNegativeSpan = Annotated[tuple[float, float], Range(0.0)]
 PositiveSpan = Annotated[tuple[float, float], Range(0.0, open_low=True)]
+Seed = Annotated[int, Range(0, 2**32 - 1)]
+
+
+@dataclass(frozen=True)
+class NotEmpty:
+    """Declaration of a sequence with at least one item."""
+
+    def fault(self, value: Any, env: Any) -> str | None:
+        """See `Declaration.fault`."""
+        return None if len(value) else "it must have at least one"
 
 
 def check(where: str, name: str, value: Any, hint: Any, env: Any = None) -> None:
     """Checks a value against its type hint.
 
-    Judged are declarations, the choices of a `Literal`, and True or False for a `bool`. A floating-point number without
-    a declaration must be finite.
+    Judged are declarations, the choices of a `Literal`, and whether a number, a truth value or a text is one. A number
+    without a declaration must be finite.
 
     Raises:
         UserError: If the value is not acceptable, in one sentence.
@@ -121,17 +152,43 @@ def check_params(where: str, func: Callable[..., Any], params: Mapping[str, Any]
             check(where, name, value, hints.get(name), env)
 
 
-def check_fields(where: str, cfg: Any) -> None:
-    """Checks the fields of a configuration dataclass; what mappings hold, such as `params`, is left out.
+def check_config(path: str, cfg: Any) -> None:
+    """Checks every field of a configuration dataclass, and of those that it holds, also in mappings.
+
+    What a term's `params` may be is declared at the term's function, and is checked when the term is bound.
+
+    Args:
+        path: Name of the whole, such as "env"; a field is then called "env.sim.timestep", as on the command line.
 
     Raises:
-        UserError: At the first one that is not acceptable.
+        UserError: At the first one that is not acceptable, in one sentence.
     """
     hints = hints_of(type(cfg))
     for field in dataclasses.fields(cfg):
-        value = getattr(cfg, field.name)
-        if not isinstance(value, Mapping):
-            check(where, field.name, value, hints.get(field.name))
+        name, value, hint = f"{path}.{field.name}", getattr(cfg, field.name), hints.get(field.name)
+        if dataclasses.is_dataclass(value):
+            check_config(name, value)
+        elif isinstance(value, Mapping) and any(dataclasses.is_dataclass(item) for item in value.values()):
+            for key, item in value.items():
+                check_config(f"{name}.{key}", item)
+        elif field.name != "params":
+            for fault in _faults(value, hint, None):
+                raise UserError(f"{name} is {_shown(value)}; {fault}.")
+
+
+def in_words(hint: Any) -> str:
+    """The declared range of a parameter or field, such as "positive"; "" if its type hint declares none."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        declared = [str(part) for part in arguments[1:] if isinstance(part, Range)]
+        each = "each " if get_origin(arguments[0]) is tuple else ""
+        return f"{each}{declared[0]}" if declared else in_words(arguments[0])
+    if origin in (Union, UnionType):
+        return next((words for words in map(in_words, arguments) if words), "")
+    if origin is not None and issubclass(origin, tuple | Mapping):
+        words = next((words for words in map(in_words, arguments) if words), "")
+        return words and f"each {words}"
+    return ""
 
 
 def hints_of(thing: Callable[..., Any]) -> dict[str, Any]:
@@ -159,16 +216,53 @@ class _Names(dict[str, Any]):
 
 
 def _faults(value: Any, hint: Any, env: Any) -> list[str]:
-    metadata = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+    """What is wrong with a value by its type hint, each as the end of a sentence."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    found: list[str]
+    if origin in (Union, UnionType):
+        kinds = [kind for kind in arguments if kind is not NoneType]
+        absent = value is None and len(kinds) < len(arguments)
+        found = [] if absent else min((_faults(value, kind, env) for kind in kinds), key=len)
+    elif origin is Annotated:
+        found = _declared_faults(value, arguments[0], arguments[1:], env)
+    elif origin is Literal:
+        found = [] if value in arguments else [f"it must be {' or '.join(map(repr, arguments))}"]
+    elif origin is tuple and arguments[-1] is ...:
+        found = _wrong_type(value, hint) or [
+            f"of each, {said}" for v in value for said in _faults(v, arguments[0], env)
+        ]
+    elif inspect.isclass(origin) and issubclass(origin, Mapping) and isinstance(value, Mapping):
+        found = [f"of '{key}', {said}" for key, v in value.items() for said in _faults(v, arguments[1], env)]
+    else:
+        finite = all(math.isfinite(number) for number in _floats(value))
+        found = _wrong_type(value, hint) or ([] if finite else ["it must be finite"])
+    return found
+
+
+def _declared_faults(value: Any, base: Any, metadata: tuple[Any, ...], env: Any) -> list[str]:
     declarations = [part for part in metadata if isinstance(part, Declaration)]
-    faults = [declaration.fault(value, env) for declaration in declarations]
-    if get_origin(hint) is Literal and value not in get_args(hint):
-        faults.append(f"it must be {' or '.join(repr(choice) for choice in get_args(hint))}")
-    if hint is bool and not isinstance(value, bool):
-        faults.append("it must be True or False")
-    elif not declarations and not all(math.isfinite(number) for number in _floats(value)):
-        faults.append("it must be finite")
-    return [fault for fault in faults if fault is not None]
+    several = get_origin(base) is tuple
+    found = _wrong_type(value, base) if base is int or (several and get_args(base)[-1] is ...) else []
+    found = found or [said for one in declarations if (said := one.fault(value, env)) is not None]
+    return found or (_faults(value, base, env) if several or not declarations else [])
+
+
+def _wrong_type(value: Any, hint: Any) -> list[str]:
+    """What is wrong with the type of a value, as far as one of the plain types is asked for."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    whole = number and (isinstance(value, int) or float(value).is_integer())
+    asked: dict[Any, tuple[bool, str]] = {
+        bool: (isinstance(value, bool), "True or False"),
+        int: (whole, "a whole number"),
+        float: (number, "a number"),
+        str: (isinstance(value, str), "a text"),
+    }
+    if get_origin(hint) is tuple:
+        return [] if isinstance(value, tuple | list) else ["it must be a list"]
+    fits, kind = asked.get(hint, (True, ""))
+    if inspect.isclass(hint) and dataclasses.is_dataclass(hint):
+        fits, kind = isinstance(value, hint), f"a {hint.__name__}"
+    return [] if fits else [f"it must be {kind}"]
 
 
 def _floats(value: Any) -> list[float]:
@@ -178,6 +272,11 @@ def _floats(value: Any) -> list[float]:
     if isinstance(value, Mapping):
         value = list(value.values())
     return [number for item in value for number in _floats(item)] if isinstance(value, list | tuple) else []
+
+
+def _in_digits(value: float) -> str:
+    """A number as people write it: 1,000,000 or 0.05."""
+    return f"{int(value):,}" if math.isfinite(value) and value == int(value) else f"{value:g}"
 
 
 def _is_number(value: Any) -> bool:

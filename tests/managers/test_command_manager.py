@@ -363,4 +363,3 @@ def test_a_command_without_variety_is_one_to_walk_forward(make_commands):
         assert (~moving).float().mean().item() == pytest.approx(0.5 * variety, abs=0.05)
         forward = commands.velocity[moving, 0] > 0.0
         assert forward.float().mean().item() == pytest.approx(1.0 - variety, abs=0.08)
-

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import signal
+import os
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from importlib import import_module
 from types import FrameType
 
 from humoslope.errors import UserError, unknown
+from humoslope.interrupts import Terminated, handled
 
 VERBS = {
     "train": "Train a task.",
@@ -37,64 +36,77 @@ VERBS = {
 """Each verb is `run(arguments)` in the module of its name."""
 
 
-class Terminated(KeyboardInterrupt):
-    """SIGTERM or SIGHUP. Whatever cleans up after Ctrl-C cleans up after them."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.exit_code = 128 + number
-
-
-@contextmanager
-def _signals_raised() -> Iterator[None]:
-    """Turns SIGTERM and SIGHUP into `Terminated`, so that temporary files are removed and child processes ended."""
-    if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
-        yield
-        return
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise Terminated(number)
-
-    names = ("SIGTERM", "SIGHUP")  # Windows has no SIGHUP
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    # A signal that is ignored (nohup) stays so.
-    handlers = {n: signal.signal(n, stop) for n in numbers if signal.getsignal(n) is not signal.SIG_IGN}
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+EXIT_CODES = """Exit codes: 0 complete; 2 a mistake, said in one sentence; 130, 143, 129 stopped by Ctrl-C, SIGTERM or
+SIGHUP, with what was done kept; 141 nobody reads the output any more; 1 an error of the program, with a traceback."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs a verb and returns its exit code: 2 for a mistake of the user, which is reported in one sentence."""
+    """Runs a verb and returns its exit code, see `EXIT_CODES`."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    if not arguments or arguments[0] in ("-h", "--help"):
-        _print_help()
-        return 0
-    verb, rest = arguments[0], arguments[1:]
+    _say_all_characters()
     code, said = 0, ""
     try:
+        if not arguments or arguments[0] in ("-h", "--help"):
+            _print_help()
+            return 0
+        verb, rest = arguments[0], arguments[1:]
         if verb not in VERBS:
             raise unknown("verb", verb, VERBS)
         run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
-        with _signals_raised():
+        with handled(_stop):
             run(rest)
     except UserError as error:
         code, said = 2, str(error)
     except Terminated as stop:
-        code, said = stop.exit_code, "terminated."
+        code, said = stop.exit_code, "interrupted." if stop.exit_code == 130 else "terminated."
     except KeyboardInterrupt:
         code, said = 130, "interrupted."
     except BrokenPipeError:
-        code = 1
-    except RuntimeError as error:
-        if type(error).__name__ != "OutOfMemoryError":  # torch's; not every verb loads torch
+        code = 141
+    except (MemoryError, RuntimeError) as error:
+        code, said = 2, _said_of_memory(error)
+        if not said:
             raise
-        code, said = 2, "the memory of the GPU is full; choose fewer envs with --env.num-envs."
-    if said:
-        print(f"humoslope: {said}", file=sys.stderr)
-    return code
+    except OSError as error:
+        if error.strerror is None:
+            raise
+        code, said = 2, f"{error.strerror}{'' if error.filename is None else f': {error.filename}'}."
+    return code if _said(said) or code else 141
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    raise Terminated(number)
+
+
+def _say_all_characters() -> None:
+    """Lets a terminal that lacks a character show another one instead of ending the work."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+def _said(sentence: str) -> bool:
+    """Prints a last sentence, and what is still to be printed; False if nobody reads it any more."""
+    read = True
+    for stream, text in ((sys.stdout, ""), (sys.stderr, f"humoslope: {sentence}\n" if sentence else "")):
+        try:
+            if stream is not None:
+                stream.write(text)
+                stream.flush()
+        except OSError:
+            # Python would try again when it ends, and complain.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            read = False
+    return read
+
+
+def _said_of_memory(error: Exception) -> str:
+    """A sentence for the user if memory has run out, else ""."""
+    if type(error).__name__ == "OutOfMemoryError":  # torch's; not every verb loads torch
+        return "the memory of the GPU is full; choose fewer envs with --env.num-envs."
+    if isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "bad_alloc" in str(error):
+        return "the memory of this machine is full; choose fewer envs or smaller values."
+    return ""
 
 
 def _print_help() -> None:
@@ -102,3 +114,4 @@ def _print_help() -> None:
     print("humoslope VERB [...]; humoslope VERB --help lists its options.\n")
     for verb, line in VERBS.items():
         print(f"  {verb:<{width}}  {line}")
+    print(f"\n{EXIT_CODES}")

@@ -22,6 +22,7 @@ from humoslope.cli.options import parse
 from humoslope.cpu import usable_cores
 from humoslope.errors import UserError
 from humoslope.files import check_place, write_text
+from humoslope.interrupts import leave_signals_to_parent
 from humoslope.learning import checkpoint as checkpoints
 from humoslope.learning.benchmark import RANDOM_STD, Measurement, measure
 from humoslope.presets import Preset
@@ -77,16 +78,17 @@ def run(arguments: list[str]) -> None:
     for size in sorted(options.sizes):
         results.append(_measure_apart(task, typed, size))
         console.print(f"  {size} envs: {median(results[-1].env):,.0f} steps/s", highlight=False)
-    console.print(speed_table(results, options.preset), descriptor_table(results), parts_table(results))
     if options.out:
         report = _report(task, typed, options, driver, load, results)
         write_text(Path(options.out), json.dumps(report, indent=2) + "\n")
+    console.print(speed_table(results, options.preset), descriptor_table(results), parts_table(results))
+    if options.out:
         console.print(f"wrote {options.out}", soft_wrap=True)
 
 
 def _measure_apart(task: str, typed: list[str], num_envs: int) -> Measurement:
     # A fresh interpreter: a forked one would start with this one's memory.
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), leave_signals_to_parent) as pool:
         try:
             return pool.submit(_measure, task, typed, num_envs).result()
         except BrokenProcessPool:

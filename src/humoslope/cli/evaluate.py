@@ -14,6 +14,7 @@ from humoslope.cli.measure import trained
 from humoslope.errors import UserError
 from humoslope.evaluation.track.protocol import HeldOutProtocol, sweep_protocol
 from humoslope.evaluation.track.run import Plan, evaluate
+from humoslope.interrupts import Terminated
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,5 +66,5 @@ def run(arguments: list[str]) -> None:
         options.out,
         shlex.join(["humoslope", "evaluate", *arguments]),
     )
-    if not evaluate([trained(path) for path in options.checkpoints], plan, Console()):
-        raise KeyboardInterrupt
+    if stopped_by := evaluate([trained(path) for path in options.checkpoints], plan, Console()):
+        raise Terminated(stopped_by)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shlex
 from pathlib import Path
 from typing import Annotated, get_args
@@ -20,8 +19,9 @@ from humoslope.evaluation.margins import show
 from humoslope.evaluation.margins.quantities import Name, Success
 from humoslope.evaluation.margins.run import Certificate
 from humoslope.evaluation.margins.search import Rule
-from humoslope.files import check_place, write_text
-from humoslope.interrupts import deferred_interrupts
+from humoslope.files import check_place
+from humoslope.interrupts import Terminated, deferred_interrupts
+from humoslope.seal import write_json
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,10 +94,10 @@ def run(arguments: list[str]) -> None:
         )
     if not finished:
         console.print(f"Finished trials are kept in {store_path}; the same command continues.", soft_wrap=True)
-        raise KeyboardInterrupt
+        raise Terminated(interrupt.number)
     report = certificate.report()
-    console.print(show.table(report))
     report["command_line"] = shlex.join(["humoslope", "margins", *arguments])
-    write_text(json_path, json.dumps(report, indent=2, allow_nan=False) + "\n")
+    write_json(json_path, report)
     show.draw(report, figure_path)
+    console.print(show.table(report))
     console.print(f"wrote {json_path} and {figure_path}", soft_wrap=True)

@@ -18,7 +18,10 @@ from tyro.conf import Fixed
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from humoslope.managers.terms import TermCfg, Terms
+from humoslope.ranges import hints_of, in_words
 from humoslope.scene.robot import Robot
+from humoslope.strict import StrictCfg
+from humoslope.terrain.grid import TerrainGridCfg
 
 
 class _Params(dict[str, Any]):
@@ -38,7 +41,7 @@ class _Params(dict[str, Any]):
 def task_rules() -> ConstructorRegistry:
     """Rules for the configuration of a task."""
     registry = ConstructorRegistry()
-    for rule in (_terms, _term, _params, _mapping, _robot):
+    for rule in (_terms, _term, _params, _mapping, _robot, _config):
         registry.struct_rule(rule)
     return registry
 
@@ -80,6 +83,19 @@ def _robot(info: StructTypeInfo) -> StructConstructorSpec | None:
     return StructConstructorSpec(lambda: info.default, ()) if isinstance(info.default, Robot) else None
 
 
+def _config(info: StructTypeInfo) -> StructConstructorSpec | None:
+    # As tyro would list it, but with the ranges in the help.
+    if not isinstance(info.default, StrictCfg | TerrainGridCfg):
+        return None
+    cfg: Any = info.default
+    hints, values = get_type_hints(type(cfg)), {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
+    fields = []
+    for name, value in values.items():
+        kind = type(value) if dataclasses.is_dataclass(value) else hints[name]
+        fields.append(StructFieldSpec(name, kind, value, partial(_help, type(cfg), name)))
+    return StructConstructorSpec(partial(dataclasses.replace, cfg), tuple(fields))
+
+
 def _parameter_type(func: Callable[..., Any], name: str, value: Any) -> Any:
     """Annotated type of a parameter of `func`, or else the type of its value."""
     function: Any = func.__init__ if inspect.isclass(func) else func
@@ -101,6 +117,12 @@ def _summary(thing: Any) -> str:
 
 
 def _help(subject: Any, name: str) -> str:
+    """Description of a parameter or attribute, and its range."""
+    words = in_words(hints_of(subject).get(name))
+    return f"{_described(subject, name)} Range: {words}." if words else _described(subject, name)
+
+
+def _described(subject: Any, name: str) -> str:
     """Description of a parameter or attribute in the docstring of a function or class, or of the class's bases."""
     for one in inspect.getmro(subject) if inspect.isclass(subject) else (subject,):
         for entry in docstring_parser.parse(one.__doc__ or "").params:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from pathlib import Path
 from typing import Annotated
@@ -14,9 +13,10 @@ from rich.console import Console
 from humoslope.cli.measure import describe, introduce, trained, walking, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, run_trials, summarise, table
-from humoslope.files import check_place, write_text
+from humoslope.files import check_place
 from humoslope.learning.policy import load_actor, read_spec
 from humoslope.provenance import plain
+from humoslope.seal import write_json
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,14 +54,14 @@ def run(arguments: list[str]) -> None:
         results = summarise(run_trials(env, actor, protocol, on_step), protocol)
     took = time.monotonic() - started
 
-    console.print(table(results))
-    console.print(provenance.training, soft_wrap=True, highlight=False)
     warnings = env.sim.warnings()
-    warn(console, warnings)
     report = {
         "what": "ramps",
         **describe(env, provenance, protocol, took, warnings, ["ramps", *arguments]),
         "ramps": [plain(r) | {"fall_share": r.falls.share} for r in results],
     }
-    write_text(out, json.dumps(report, indent=2, allow_nan=False) + "\n")
+    write_json(out, report)
+    console.print(table(results))
+    console.print(provenance.training, soft_wrap=True, highlight=False)
+    warn(console, warnings)
     console.print(f"wrote {out}", soft_wrap=True)

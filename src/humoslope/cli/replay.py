@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 import threading
 import webbrowser
 from pathlib import Path
 
 import tyro
 
-from humoslope.files import check_place
+from humoslope.files import check_place, temporary_folder
 from humoslope.replay.meshes import load_meshes
 from humoslope.replay.rerun.rrd import write_rrd
 from humoslope.replay.rerun.viewer import has_display, open_window, served
@@ -52,8 +51,8 @@ def run(arguments: list[str]) -> None:
         write_rrd(rollouts, options.save, meshes)
         print(f"wrote {options.save} ({options.save.stat().st_size / 1e6:.1f} MB)")
         return
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{options.rollout.stem}.rrd"
+    with temporary_folder() as folder:
+        path = folder / f"{options.rollout.stem}.rrd"
         write_rrd(rollouts, path, meshes)
         if not options.web:
             open_window(path)

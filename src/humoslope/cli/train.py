@@ -15,6 +15,7 @@ from humoslope.cli.warm_start import Origin, find_origin
 from humoslope.cpu import thread_advice, usable_cores
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
+from humoslope.interrupts import Terminated
 from humoslope.learning import checkpoint
 from humoslope.learning.configuration import departures, trained_cfg
 from humoslope.learning.distributed import choose_device, process_group, read_processes
@@ -31,7 +32,8 @@ ONCE = ("--resume", "--run-dir", "--init", "--calibration")
 
 @dataclasses.dataclass(frozen=True)
 class TrainArgs:
-    """Trains a task in a run folder, or continues a run.
+    """Trains a task in a run folder, or continues a run. A training that a signal has stopped has saved its state, and
+    ends with exit code 128 + the signal's number (Ctrl-C 130, SIGTERM 143, SIGHUP 129); 0 means complete.
 
     Attributes:
         preset: Scale of the training; "auto" for the one that fits the machine.
@@ -99,18 +101,22 @@ def _train(
         stack.enter_context(process_group(processes, str(env.device)))
         console = stack.enter_context(tee(None if run_dir is None else run_dir / "console.log"))
         trainer = Trainer(task, cfg, env, run_dir, console, processes)
+        how = ""
         if resumed is not None:
-            trainer.resume(resumed)
+            how = trainer.resume(resumed)
         elif origin.parent is not None:
             trainer.warm_start(origin.parent.path)
         if run_dir is not None:
             source = origin.parent.path if origin.parent is not None else resumed
             record_start(run_dir, task, cfg, options, trainer.iteration, trainer.total_steps, source)
             _introduce(console, task, env, run_dir)
-            _introduce_origin(console, cfg, resumed, origin)
+            if resumed is not None:
+                console.print(f"Resumed from {resumed}. {how}", soft_wrap=True, highlight=False)
+            _introduce_origin(console, cfg, origin)
             if env.device.type == "cpu" and (advice := thread_advice()):
                 console.print(f"[yellow]{advice}[/yellow]", soft_wrap=True)
-        trainer.train()
+        if not trainer.train():
+            raise Terminated(trainer.stopped_by)
 
 
 def _resumed_cfg(start: Path, task: str) -> TaskCfg:
@@ -153,9 +159,7 @@ def _introduce(console: Console, task: str, env: ManagerBasedRlEnv, run_dir: Pat
     env.describe(console)
 
 
-def _introduce_origin(console: Console, cfg: TaskCfg, resumed: Path | None, origin: Origin) -> None:
-    if resumed is not None:
-        console.print(f"Resumed from {resumed}.")
+def _introduce_origin(console: Console, cfg: TaskCfg, origin: Origin) -> None:
     if (parent := origin.parent) is None:
         return
     console.print(

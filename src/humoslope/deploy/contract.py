@@ -18,6 +18,7 @@ from typing import Any, Literal
 from humoslope.deploy.quantities import CUSTOM, QUANTITIES
 from humoslope.deploy.typed_json import typed
 from humoslope.errors import UserError, unknown
+from humoslope.seal import check_sums
 
 FILE = "policy.json"
 VERSION = 2
@@ -342,6 +343,7 @@ def read(folder: Path) -> Contract:
         raise UserError(f"contract '{path}': {error}") from None
     except RecursionError:
         raise UserError(f"contract '{path}' cannot be read: it is nested too deeply.") from None
+    check_sums(folder)
     return contract
 
 

@@ -26,6 +26,7 @@ from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms, V
 from humoslope.managers.terms import bind, first_value
 from humoslope.mdp import terminations
 from humoslope.provenance import git_state
+from humoslope.seal import SUMS, write_sums
 
 # Paths at which Unitree's deployment looks for them in a policy folder.
 ONNX, DEPLOY = "exported/policy.onnx", "params/deploy.yaml"
@@ -70,7 +71,7 @@ def record_observations(env: ManagerBasedRlEnv, actor: Actor, seconds: float) ->
 
 
 def export(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: TensorDict, folder: Path) -> Exported:
-    """Writes the policy into `folder`; the contract last, so that a folder with a contract is complete.
+    """Writes the policy into `folder`; the list of checksums last, so that a folder with one is complete.
 
     Args:
         actor: The policy.
@@ -91,6 +92,7 @@ def export(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: 
         )
     model = robot_xml(env)
     contract = make_contract(actor, env, trained, observations, content, model)
+    (folder / SUMS).unlink(missing_ok=True)  # of an earlier export, of which the files are replaced one by one
     write_atomically(folder / ONNX, lambda path: path.write_bytes(content))
     write_text(folder / MODEL, model)
     try:
@@ -100,6 +102,7 @@ def export(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: 
         (folder / DEPLOY).unlink(missing_ok=True)  # of an earlier export
         without = str(error)
     write_text(folder / contracts.FILE, contract.to_json())
+    write_sums(folder, [ONNX, MODEL, contracts.FILE, *([] if without else [DEPLOY])])
     return Exported(contract, difference, len(observations), without)
 
 

@@ -22,24 +22,33 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import torch
 
 from humoslope.errors import UserError
-from humoslope.files import write_atomically
+from humoslope.files import read_bytes, write_atomically
 from humoslope.learning import format_1
+from humoslope.seal import MARK, is_sealed, sealed
 
 FORMAT = 2
 """Raised when the layout changes; older layouts are read as long as there is a reader for them."""
 
-MARK = b"humoslope sha256 "
-END_OF_ARCHIVE = b"PK\x05\x06"
-END_SIZE = 22
-"""Length of a zip archive's last record without its comment, bytes; the last two hold the comment's length."""
+CONTENT: dict[str, Any] = {
+    **dict.fromkeys(("task", "code"), str),
+    **dict.fromkeys(("iteration", "total_steps"), int),
+    "total_time": int | float,
+    "config": dict | NoneType,
+    **dict.fromkeys(("policy", "learner", "env", "rng"), dict),
+    "parent": dict | NoneType,
+    "formerly": tuple | list,
+}
+"""Entries of a checkpoint and their types."""
 
 
 def save(path: Path, state: Mapping[str, Any]) -> None:
@@ -49,10 +58,28 @@ def save(path: Path, state: Mapping[str, Any]) -> None:
         UserError: If a weight is not finite; nothing is written then.
     """
     require_finite(state, f"checkpoint '{path}' is not written")
+    save_sealed(path, {"format": FORMAT, **state})
+
+
+def save_sealed(path: Path, content: Mapping[str, Any]) -> None:
+    """Writes tensors and plain types with a checksum in one step."""
     buffer = io.BytesIO()
-    torch.save({"format": FORMAT, **state}, buffer)
-    content = sealed(buffer.getvalue())
-    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+    torch.save(dict(content), buffer)
+    whole = sealed(buffer.getvalue())
+    write_atomically(path, lambda temporary: temporary.write_bytes(whole))
+
+
+def load_sealed(path: Path) -> dict[str, Any]:
+    """Reads what `save_sealed` has written; nothing in it is executed.
+
+    Raises:
+        UserError: If it is missing or damaged.
+    """
+    content = read_bytes("file", path)
+    if not is_sealed(content):
+        raise UserError(f"'{path}' is damaged.")
+    read: dict[str, Any] = torch.load(io.BytesIO(content), weights_only=True)
+    return read
 
 
 def load(path: Path, task: str | None = None, device: torch.device | str = "cpu") -> dict[str, Any]:
@@ -65,9 +92,7 @@ def load(path: Path, task: str | None = None, device: torch.device | str = "cpu"
         UserError: If the file is missing, damaged, no checkpoint, of an unknown format or another task, or holds a
             weight that is not finite.
     """
-    if not path.is_file():
-        raise UserError(f"checkpoint '{path}' does not exist.")
-    content = path.read_bytes()
+    content = read_bytes("checkpoint", path)
     if MARK in content[-len(MARK) - 64 :] and not is_sealed(content):
         raise _broken(path)
     try:
@@ -84,24 +109,11 @@ def load(path: Path, task: str | None = None, device: torch.device | str = "cpu"
         )
     elif not is_sealed(content):
         raise _broken(path)
+    _check_content(path, state)
     if task is not None and state["task"] != task:
         raise UserError(f"checkpoint '{path}' belongs to task '{state['task']}', not to '{task}'.")
     require_finite(state, f"checkpoint '{path}' cannot be used")
     return state
-
-
-def sealed(archive: bytes) -> bytes:
-    """A zip archive without comment, with the SHA-256 of its bytes as comment."""
-    assert archive[-END_SIZE : -END_SIZE + 4] == END_OF_ARCHIVE
-    length = len(MARK) + 64
-    body = archive[:-2] + length.to_bytes(2, "little") + MARK
-    return body + hashlib.sha256(body).hexdigest().encode()
-
-
-def is_sealed(content: bytes) -> bool:
-    """True if the SHA-256 at the end of a file is that of the bytes before it."""
-    body, digest_ = content[:-64], content[-64:]
-    return body.endswith(MARK) and hashlib.sha256(body).hexdigest().encode() == digest_
 
 
 def require_finite(state: Mapping[str, Any], refusal: str) -> None:
@@ -147,3 +159,20 @@ def _broken(path: Path) -> UserError:
         f"checkpoint '{path}' is damaged or truncated, or no checkpoint at all; "
         "a run resumes from the one before it once it is removed."
     )
+
+
+def _check_content(path: Path, state: Mapping[str, Any]) -> None:
+    """Raises UserError unless every entry is there and of its type: a file may be whole and still be made by hand."""
+    for name, kind in CONTENT.items():
+        if name not in state or not isinstance(state[name], kind):
+            raise UserError(f"checkpoint '{path}' has no proper '{name}'; it was not written by this program.")
+    for name in ("iteration", "total_steps", "total_time"):
+        if not state[name] >= 0 or not math.isfinite(state[name]):
+            raise UserError(f"checkpoint '{path}': {name} is {state[name]}; it must be 0 or more.")
+    level = state["env"].get("level")
+    if not isinstance(level, torch.Tensor) or level.dtype != torch.int64 or level.dim() != 1 or not len(level):
+        raise UserError(f"checkpoint '{path}' has no proper 'env.level'; it was not written by this program.")
+    if bool((level < 0).any()) or not isinstance(state["env"].get("curriculum"), dict):
+        raise UserError(f"checkpoint '{path}' has no proper state of the environment.")
+    if set(state["policy"]) != {"spec", "weights"} or not all(isinstance(v, dict) for v in state["policy"].values()):
+        raise UserError(f"checkpoint '{path}' has no proper 'policy'; it was not written by this program.")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import torch
 
-from humoslope.errors import UserError, unknown
+from humoslope.errors import UserError
+from humoslope.ranges import NotEmpty, NotNegative, Positive, Range, Share, check_config
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
@@ -31,9 +31,9 @@ class AgentCfg(StrictCfg):
         wandb_project: Project of Weights & Biases, if that is the logger.
     """
 
-    max_iterations: int = 10_000
-    num_steps_per_env: int = 24
-    save_interval: int = 100
+    max_iterations: Annotated[int, Range(1, 1_000_000_000)] = 10_000
+    num_steps_per_env: Annotated[int, Range(1, 100_000)] = 24
+    save_interval: Annotated[int, Range(1, 1_000_000)] = 100
     logger: LoggerName = "tensorboard"
     wandb_project: str = "humoslope"
 
@@ -45,10 +45,7 @@ class AgentCfg(StrictCfg):
 
     def check(self) -> None:
         """Raises UserError if a value is impossible."""
-        for name in ("max_iterations", "num_steps_per_env", "save_interval"):
-            require_at_least_one(self, name)
-        if self.logger not in get_args(LoggerName):
-            raise unknown("agent.logger", self.logger, get_args(LoggerName))
+        check_config("agent", self)
         if self.logger == "wandb" and find_spec("wandb") is None:
             raise UserError("agent.logger 'wandb' needs a package that is not installed: pip install '.[wandb]'.")
 
@@ -88,22 +85,23 @@ class PpoCfg(AgentCfg):
         mixed_precision: Run the update in bfloat16; pays on GPUs and on CPUs with bfloat16 instructions.
     """
 
-    hidden_dims: tuple[int, ...] = (512, 256, 128)
-    init_std: float = 0.8  # ours, measured on the CPU: 1.0 throws the robot over before it learns to stand
+    hidden_dims: Annotated[tuple[Annotated[int, Range(1, 16_384)], ...], NotEmpty()] = (512, 256, 128)
+    # Ours, measured on the CPU: 1.0 throws the robot over before it learns to stand.
+    init_std: Annotated[float, Range(1e-3, 100.0)] = 0.8
     obs_normalization: bool = True
     symmetry: bool = True
-    num_learning_epochs: int = 5
-    num_mini_batches: int = 4
-    learning_rate: float = 1e-3
-    desired_kl: float = 0.01
-    critic_warmup_iterations: int = 0
-    gamma: float = 0.99
-    lam: float = 0.95
-    clip_param: float = 0.2
-    value_loss_coef: float = 1.0
-    entropy_coef: float = 0.003
-    final_entropy_coef: float | None = None
-    max_grad_norm: float = 1.0
+    num_learning_epochs: Annotated[int, Range(1, 1000)] = 5
+    num_mini_batches: Annotated[int, Range(1, 100_000)] = 4
+    learning_rate: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1e-3
+    desired_kl: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.01
+    critic_warmup_iterations: Annotated[int, Range(0, 1_000_000_000)] = 0
+    gamma: Share = 0.99
+    lam: Share = 0.95
+    clip_param: Annotated[float, Range(0.0, 100.0, open_low=True)] = 0.2
+    value_loss_coef: NotNegative = 1.0
+    entropy_coef: NotNegative = 0.003
+    final_entropy_coef: NotNegative | None = None
+    max_grad_norm: Positive = 1.0
     torch_compile: bool = False
     mixed_precision: bool = False
 
@@ -116,25 +114,6 @@ class PpoCfg(AgentCfg):
             self.num_learning_epochs = 2
             # Only where the CPU multiplies in bfloat16 itself; compare with --agent.no-mixed-precision.
             self.mixed_precision = bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
-
-    def check(self) -> None:
-        """Raises UserError if a value is impossible."""
-        super().check()
-        for name in ("num_learning_epochs", "num_mini_batches"):
-            require_at_least_one(self, name)
-        if self.critic_warmup_iterations < 0:
-            raise UserError(f"agent.critic_warmup_iterations {self.critic_warmup_iterations} must be at least 0.")
-        for name in ("init_std", "learning_rate", "desired_kl", "clip_param", "max_grad_norm"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise UserError(f"agent.{name} {getattr(self, name)} must be positive.")
-        for name in ("value_loss_coef", "entropy_coef", "final_entropy_coef"):
-            if getattr(self, name) is not None and not 0.0 <= getattr(self, name) < math.inf:
-                raise UserError(f"agent.{name} {getattr(self, name)} must be 0 or more.")
-        for name in ("gamma", "lam"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise UserError(f"agent.{name} {getattr(self, name)} must be between 0 and 1.")
-        if not self.hidden_dims or min(self.hidden_dims) < 1:
-            raise UserError(f"agent.hidden_dims {self.hidden_dims} must be one or more widths of at least 1.")
 
     def build(self, env: ManagerBasedRlEnv) -> Learner:
         """Creates rsl_rl's PPO for an environment with the observation groups "actor" and "critic"."""
@@ -180,9 +159,3 @@ class PpoCfg(AgentCfg):
                 "use_mixed_precision": self.mixed_precision,
             },
         }
-
-
-def require_at_least_one(cfg: AgentCfg, name: str) -> None:
-    """Raises a `UserError` unless the field `name` is 1 or more."""
-    if getattr(cfg, name) < 1:
-        raise UserError(f"agent.{name} {getattr(cfg, name)} must be at least 1.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import redirect_stdout
 from io import StringIO
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -21,6 +22,7 @@ from humoslope.learning.learner import Transition
 from humoslope.learning.policy import PolicySpec
 from humoslope.learning.symmetry import Mirror
 from humoslope.learning.vec_env import RslRlVecEnv
+from humoslope.memory import require_memory
 
 RELEASE_RATE = 1e-5
 """Learning rate at which a held actor begins to learn: the least that the adaptive rule of rsl_rl's PPO knows, which
@@ -47,6 +49,15 @@ class PpoLearner(OnPolicyRunner):
                 f"agent.num_mini_batches {cfg.num_mini_batches} is more than the {samples} samples of a rollout "
                 f"({env.num_envs} envs x {cfg.num_steps_per_env} steps)."
             )
+        obs = env.get_observations()
+        width = sum(obs[name][0].numel() for name in ("actor", "critic") if name in obs) + 4 * env.robot.num_joints
+        if env.device.type == "cpu":
+            rollout = 4 * cfg.num_steps_per_env * width
+            batch = rollout * (2 if cfg.symmetry else 1) / cfg.num_mini_batches
+            require_memory("env.num_envs", env.num_envs, rollout + batch, f" with rollouts of {cfg.num_steps_per_env}")
+            weights = sum(a * b for a, b in pairwise((width, *cfg.hidden_dims, env.robot.num_joints)))
+            # Actor and critic, with gradients and two moments of Adam, in single precision.
+            require_memory("the number of the networks' weights", weights, 2 * 4 * 4)
         if cfg.symmetry:
             augment = Mirror(env).augment
             rsl_rl_cfg["algorithm"]["symmetry_cfg"] = {

@@ -1,6 +1,7 @@
 """The folder of a training run: claimed by one process, with a record of every start and everything it printed.
 
 model_100.pt ...        checkpoints
+episodes.pt             the state of all episodes at the newest one
 events.out.tfevents...  curves
 console.log             everything that was printed
 starts/1/, starts/2/    for each start, options.txt, config.json, git.txt and start.json (what it began with)
@@ -13,7 +14,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -23,7 +24,7 @@ from rich.console import Console
 
 import humoslope
 from humoslope.errors import UserError
-from humoslope.files import check_place, write_text
+from humoslope.files import check_place, remove_leftovers, write_text
 from humoslope.provenance import git_state, plain
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ def claimed(run_dir: Path | None, task: str, new: bool) -> Iterator[Path]:
             raise UserError(f"run folder '{run_dir}' is in use by another training; choose another.") from None
         if new:
             _require_no_run(run_dir)
+        for folder in (run_dir, run_dir / "diverged"):
+            remove_leftovers(folder)
         yield run_dir
     finally:
         os.close(handle)
@@ -72,6 +75,8 @@ def _made(run_dir: Path | None, task: str) -> tuple[Path, list[Path]]:
             path.mkdir(parents=True, exist_ok=run_dir is not None)
         except FileExistsError:
             continue  # a run that began in the same second has it
+        except OSError as error:
+            raise UserError(f"run folder '{path}' cannot be made: {error.strerror}.") from None
         return path, missing
     raise UserError(f"there is no free name for a run folder at '{base}'.")
 
@@ -111,16 +116,26 @@ def saved_options(run_dir: Path, total_steps: float = float("inf")) -> list[str]
     """The options that held in a run when it had seen `total_steps` environment steps; none if the folder does not say.
 
     Options accumulate: a resumed run keeps those of its earlier starts unless they were given anew.
+
+    Raises:
+        UserError: If a record cannot be read.
     """
     options: list[str] = []
     old = run_dir / "options.txt"  # runs of earlier versions kept the last start alone
     if old.is_file():
-        options += shlex.split(old.read_text(encoding="utf-8"))
+        options += _words(old)
     for folder in starts(run_dir):
         about = _read(folder / "start.json")
         if about is not None and about["total_steps"] < total_steps:
-            options += shlex.split((folder / "options.txt").read_text(encoding="utf-8"))
+            options += _words(folder / "options.txt")
     return options
+
+
+def _words(path: Path) -> list[str]:
+    try:
+        return shlex.split(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UserError(f"the options in '{path}' cannot be read: {error}.") from None
 
 
 def find_run(task: str, which: str) -> Path:
@@ -148,21 +163,35 @@ def runs_of(task: str) -> list[Path]:
 class _Both:
     """Writes to the terminal and to a file, which is opened only when there is something to write."""
 
-    def __init__(self, terminal: IO[str], path: Path) -> None:
+    def __init__(self, terminal: IO[str] | None, path: Path) -> None:
         self._terminal, self._path = terminal, path
         self._file: IO[str] | None = None
 
     def write(self, text: str) -> int:
+        self._write_file(text)
+        self._with_terminal(lambda terminal: terminal.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        self._with_terminal(lambda terminal: terminal.flush())
+        if self._file is not None:
+            self._file.flush()
+
+    def _write_file(self, text: str) -> None:
         if self._file is None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._path.open("a", encoding="utf-8")
         self._file.write(text)
-        return self._terminal.write(text)
 
-    def flush(self) -> None:
-        self._terminal.flush()
-        if self._file is not None:
-            self._file.flush()
+    def _with_terminal(self, act: Callable[[IO[str]], object]) -> None:
+        """Writes to the terminal as long as there is one: a pipe that was closed is no reason to end a training."""
+        if self._terminal is None:
+            return
+        try:
+            act(self._terminal)
+        except OSError as error:
+            self._terminal = None
+            self._write_file(f"The terminal is gone ({error.strerror}); training goes on, and this file tells how.\n")
 
     def close(self) -> None:
         if self._file is not None:
@@ -177,7 +206,8 @@ def tee(path: Path | None) -> Iterator[Console]:
         return
     both = _Both(sys.stdout, path)
     try:
-        yield Console(file=cast("IO[str]", both), width=None if sys.stdout.isatty() else 140)
+        is_terminal = sys.stdout is not None and sys.stdout.isatty()
+        yield Console(file=cast("IO[str]", both), width=None if is_terminal else 140)
     finally:
         both.close()
 
@@ -194,7 +224,7 @@ def _require_no_run(run_dir: Path) -> None:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return content
-    except (OSError, ValueError):
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
         return None
+    return content if isinstance(content, dict) and isinstance(content.get("total_steps"), int) else None

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ from humoslope.packing import pack
 from humoslope.provenance import commit
 from humoslope.registry import TaskCfg
 
+EPISODES = "episodes.pt"
+"""File beside the newest checkpoint of a run with the state of its episodes; 20 kB for an env of Stage I."""
 RANK_SEED_STRIDE = 1_000_003
 """Distance in seed between the iterations at which the processes beyond the first one resume; a prime number."""
 
@@ -42,6 +45,7 @@ class Trainer:
 
     Attributes:
         iteration: Number of iterations that are done.
+        stopped_by: The signal that ended the last `train` early, 0 if none did.
 
     Raises:
         UserError: If the configuration of the agent is impossible or does not fit the environment.
@@ -66,21 +70,29 @@ class Trainer:
         self._parent: dict[str, Any] | None = None
         self._config = pack(cfg)
         self._last_saved: Path | None = None
+        self._half_learnt = False  # an update has begun that has not ended well
+        self.stopped_by = 0
+        self._goes_on = False  # the episodes are those of a run that was stopped
 
     def train(self) -> bool:
-        """Trains up to the configured number of iterations; SIGINT or SIGTERM saves and ends it early.
+        """Trains up to the configured number of iterations.
+
+        SIGINT, SIGTERM and SIGHUP save and end it early. So does any exception, unless it comes in the middle of an
+        update: then the last checkpoint is named.
 
         Returns:
             Whether training is complete.
 
         Raises:
-            UserError: If a reward, an observation or a weight is not finite. The last good checkpoint is kept.
+            UserError: If a reward, an observation or a weight is not finite, or a checkpoint cannot be written. The
+                last good checkpoint is kept.
         """
         last, first = self.cfg.agent.max_iterations, self.iteration
         if first >= last:
             self._console.print(f"Nothing left to do: {first} iterations are done.")
             return True
-        self.start_episodes()
+        if not self._goes_on:
+            self.start_episodes()
         curves = CurveWriter(self.run_dir, self.cfg.agent)
         line = ProgressLine(self._console, first, last)
         try:
@@ -94,9 +106,13 @@ class Trainer:
                     (stopping,) = any_process((interrupt.requested,), self.env.device)
                     if stopping or self._is_saved_now(last):
                         self._save(curves)
+        except Exception as error:
+            self._rescue(error)
+            raise
         finally:
             curves.close()
         if self.iteration < last:
+            self.stopped_by = interrupt.number or signal.SIGTERM  # or another process got the signal
             self._console.print(f"Stopped after iteration {self.iteration}; saved {self._last_saved}.")
         return self.iteration == last
 
@@ -122,6 +138,7 @@ class Trainer:
         obs = self._collect()
         collected = self._now()
         self._require_finite_values()
+        self._half_learnt = True
         with tf32_products(self.env.device):
             losses = self.learner.update(obs)
         if self._processes.size > 1:
@@ -133,6 +150,7 @@ class Trainer:
         self.total_steps += steps
         self.total_time += learned - start
         self._require_finite_losses(losses)
+        self._half_learnt = False
         return {
             **self.env.log.flush(),
             **losses,
@@ -168,10 +186,17 @@ class Trainer:
             "formerly": (),
         }
 
-    def resume(self, path: Path) -> None:
+    def resume(self, path: Path) -> str:
         """Continues from a checkpoint of the same task: networks, optimisers, curricula, counters and random numbers.
 
-        Every process beyond the first draws new random numbers, since a checkpoint holds only those of the first.
+        The newest checkpoint of a run of one process on the native backend has its episodes beside it, in `EPISODES`:
+        physics, commands, histories, and all else that terms remember. From there the run goes on as if it had never
+        been stopped, bit for bit with a learner whose `state_dict` is complete, as PPO's is. Otherwise every episode
+        starts anew. Every process beyond the first draws new random numbers, since a checkpoint holds only those of the
+        first.
+
+        Returns:
+            A sentence that says which of the two it is, and why.
 
         Raises:
             UserError: If it cannot be used here.
@@ -192,6 +217,11 @@ class Trainer:
             restore_rng(state["rng"], self.env.device)
         else:
             seed_everything((self.cfg.env.seed + RANK_SEED_STRIDE * self.iteration) % 2**32)
+        lacking = self._resume_episodes(path, state)
+        self._goes_on = not lacking
+        if self._goes_on:
+            return "Its episodes go on where they were."
+        return f"Its episodes start anew ({lacking}), so that it departs from a run that was never stopped."
 
     def warm_start(self, path: Path) -> None:
         """Takes the policy, with its normaliser, from a checkpoint of any task; everything else starts anew.
@@ -218,6 +248,31 @@ class Trainer:
                 obs = next_obs
         return obs
 
+    def _resume_episodes(self, path: Path, state: dict[str, Any]) -> str:
+        """Goes on with the episodes beside a checkpoint that was loaded; returns why that is impossible, or ""."""
+        beside = path.parent / EPISODES
+        if self._processes.size > 1 or self.env.sim.backend != "native":
+            return "only one process on the native backend keeps them"
+        if not beside.is_file():
+            return f"there is no {EPISODES} beside it"
+        if state["config"] is None or state["config"]["env"] != self._config["env"]:
+            return "the environment is configured differently now"
+        try:
+            kept = checkpoint.load_sealed(beside)
+            if kept["checkpoint"] != checkpoint.digest(path):
+                return f"{EPISODES} belongs to another checkpoint"
+            self.env.restore(kept["state"])
+        except (UserError, KeyError, TypeError, ValueError, RuntimeError):
+            return f"{EPISODES} is damaged or of another version"
+        return ""
+
+    def _save_episodes(self, path: Path) -> None:
+        """Writes the state of all episodes beside a checkpoint that was saved at `path`, if it can be continued."""
+        state = self.env.snapshot() if self._processes.size == 1 else None
+        if state is not None:
+            kept = {"checkpoint": checkpoint.digest(path), "state": state}
+            checkpoint.save_sealed(path.parent / EPISODES, kept)
+
     def _now(self) -> float:
         """The time, s, once the device has done what it was asked for."""
         if self.env.device.type == "cuda":
@@ -233,9 +288,7 @@ class Trainer:
         (failed,) = any_process((bool(found),), self.env.device)
         if not failed:
             return
-        if self.run_dir is not None and self.iteration > 0 and self._model_path() != self._last_saved:
-            self._last_saved = self._model_path()
-            self.save(self._last_saved)
+        self._keep_last_good()
         raise self._diverged("; ".join(found) or "another process met a value that is not finite", self.iteration + 1)
 
     def _require_finite_losses(self, losses: dict[str, float]) -> None:
@@ -245,8 +298,28 @@ class Trainer:
             raise self._diverged(f"{', '.join(broken) or 'a loss of another process'} is not finite", self.iteration)
 
     def _diverged(self, said: str, iteration: int) -> UserError:
-        kept = f"the last good checkpoint is {self._last_saved}" if self._last_saved else "there is no checkpoint yet"
-        return UserError(f"{said} (iteration {iteration}); {kept}.")
+        return UserError(f"{said} (iteration {iteration}); {self._kept()}.")
+
+    def _kept(self) -> str:
+        return f"the last good checkpoint is {self._last_saved}" if self._last_saved else "there is no checkpoint yet"
+
+    def _keep_last_good(self) -> None:
+        """Saves the weights of the last complete iteration, unless they are saved already or half changed."""
+        if self.run_dir is None or self.iteration == 0 or self._half_learnt:
+            return
+        path = self._model_path()
+        if path != self._last_saved:
+            self.save(path)
+            self._last_saved = path
+
+    def _rescue(self, error: Exception) -> None:
+        """Keeps what can be kept when an error ends the run, and says what that is."""
+        if isinstance(error, UserError):
+            return
+        with suppress(UserError):
+            self._keep_last_good()
+        what = type(error).__name__
+        self._console.print(f"{what} after {self.iteration} iterations; {self._kept()}.", soft_wrap=True)
 
     def _is_saved_now(self, last: int) -> bool:
         return self.iteration == last or (self.iteration - 1) % self.cfg.agent.save_interval == 0
@@ -255,7 +328,13 @@ class Trainer:
         if self.run_dir is None:
             return
         path = self._model_path()
-        self.save(path)
+        if not self.run_dir.is_dir():
+            self._console.print(f"[yellow]The run folder {self.run_dir} was removed; it is made anew.[/yellow]")
+        try:
+            self.save(path)
+            self._save_episodes(path)
+        except UserError as error:
+            raise UserError(f"{str(error).rstrip('.')}; {self._kept()}.") from error
         self._last_saved = path
         curves.flush()
         curves.upload(path, self.iteration - 1)

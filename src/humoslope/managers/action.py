@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import torch
 from rich.table import Table
 from torch import Tensor
 
-from humoslope.errors import require_positive
+from humoslope.ranges import Range
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ class JointPositionActionCfg(StrictCfg):
         scale_factor: Factor on the robot's action scale of every joint.
     """
 
-    scale_factor: float = 1.0
+    scale_factor: Annotated[float, Range(0.0, 1000.0, open_low=True)] = 1.0
 
 
 class ActionManager:
@@ -40,7 +40,6 @@ class ActionManager:
 
     def __init__(self, env: Env, cfg: JointPositionActionCfg) -> None:
         robot = env.robot
-        require_positive("actions", scale_factor=cfg.scale_factor)
         self._env = env
         self._ctrl = env.sim.state("ctrl")  # [N, J]
         self._default = torch.tensor(robot.default_joint_pos, device=env.device)  # [J]

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import accumulate
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import torch
 from rich.table import Table
 from torch import Tensor
 
-from humoslope.errors import UserError, require_not_negative, unknown
+from humoslope.errors import UserError, unknown
 from humoslope.managers.clock import check_interval
+from humoslope.ranges import NotNegative, PositiveSpan, Range, Share
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
@@ -49,19 +49,19 @@ class VelocityCommandCfg(StrictCfg):
         turning: Lowest and highest yaw rate of the mode turning, to the left or to the right, rad/s.
     """
 
-    speed: tuple[float, float] = (0.3, 0.8)
-    lateral: tuple[float, float] = (0.0, 0.0)
-    yaw_rate: tuple[float, float] = (-0.3, 0.3)
-    heading_share: float = 0.8
-    heading_gain: float = 0.5
-    lateral_gain: float = 0.3
-    yaw_rate_limit: float = 0.3
-    standing_share: float = 0.05
-    resample_s: tuple[float, float] = (8.0, 12.0)
-    modes: Mapping[str, float] = field(default_factory=dict)
-    backward: tuple[float, float] = (0.1, 0.4)
-    sideways: tuple[float, float] = (0.1, 0.4)
-    turning: tuple[float, float] = (0.2, 0.8)
+    speed: Annotated[tuple[float, float], Range(-10.0, 10.0)] = (0.3, 0.8)
+    lateral: Annotated[tuple[float, float], Range(-10.0, 10.0)] = (0.0, 0.0)
+    yaw_rate: Annotated[tuple[float, float], Range(-20.0, 20.0)] = (-0.3, 0.3)
+    heading_share: Share = 0.8
+    heading_gain: NotNegative = 0.5
+    lateral_gain: NotNegative = 0.3
+    yaw_rate_limit: Annotated[float, Range(0.0, 20.0)] = 0.3
+    standing_share: Share = 0.05
+    resample_s: PositiveSpan = (8.0, 12.0)
+    modes: Mapping[str, NotNegative] = field(default_factory=dict)
+    backward: Annotated[tuple[float, float], Range(0.0, 10.0)] = (0.1, 0.4)
+    sideways: Annotated[tuple[float, float], Range(0.0, 10.0)] = (0.1, 0.4)
+    turning: Annotated[tuple[float, float], Range(0.0, 20.0)] = (0.2, 0.8)
 
     def asks_for(self, mode: str) -> bool:
         """True if commands of this mode are drawn."""
@@ -96,19 +96,6 @@ class CommandManager:
     """
 
     def __init__(self, env: Env, cfg: VelocityCommandCfg) -> None:
-        for name in ("speed", "lateral", "yaw_rate"):
-            low, high = getattr(cfg, name)
-            if not -math.inf < low <= high < math.inf:
-                raise UserError(f"command: {name} ({low:g}, {high:g}) must be (lowest, highest).")
-        for name in ("heading_share", "standing_share"):
-            if not 0.0 <= getattr(cfg, name) <= 1.0:
-                raise UserError(f"command: {name} {getattr(cfg, name)} must be between 0 and 1.")
-        require_not_negative(
-            "command",
-            heading_gain=cfg.heading_gain,
-            lateral_gain=cfg.lateral_gain,
-            yaw_rate_limit=cfg.yaw_rate_limit,
-        )
         _check_modes(cfg, env.tiles.has_omnidirectional)
         steps = check_interval("command: resample_s", cfg.resample_s, env.step_dt)
         self._env, self.cfg = env, cfg
@@ -214,15 +201,9 @@ def _check_modes(cfg: VelocityCommandCfg, has_omnidirectional: bool) -> None:
     Raises:
         UserError: If one is impossible, or there is no ground for a mode.
     """
-    for name in ("backward", "sideways", "turning"):
-        low, high = getattr(cfg, name)
-        if not 0.0 <= low <= high < math.inf:
-            raise UserError(f"command: {name} ({low:g}, {high:g}) must be (lowest, highest), each 0 or more.")
-    for name, share in cfg.modes.items():
+    for name in cfg.modes:
         if name not in MODES:
             raise unknown("command mode", name, MODES)
-        if not 0.0 <= share < math.inf:
-            raise UserError(f"command: the share of mode '{name}' is {share:g}; it must be 0 or more.")
     if cfg.modes and sum(cfg.modes.values()) <= 0.0:
         raise UserError("command: the shares of modes sum to 0; give at least one mode a share above 0.")
     aside = [name for name in MODES[1:] if cfg.asks_for(name)]

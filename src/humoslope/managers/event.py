@@ -13,6 +13,7 @@ from torch import Tensor
 from humoslope.errors import UserError, unknown
 from humoslope.managers.clock import check_interval
 from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind
+from humoslope.ranges import PositiveSpan
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -34,7 +35,7 @@ class EventTermCfg(TermCfg):
     """
 
     mode: Mode = "reset"
-    interval_s: tuple[float, float] | None = None
+    interval_s: PositiveSpan | None = None
 
 
 class EventManager:

@@ -66,23 +66,24 @@ class FiniteWatch:
     """Finds values that are not finite, in any number of sources, and reports them by name.
 
     Attributes:
+        sources: What is watched.
         step: Control steps since the last report; 0 before the first one.
     """
 
     def __init__(self, num_envs: int, device: torch.device) -> None:
         self._num_envs, self._device = num_envs, device
-        self._sources: list[Watched] = []
+        self.sources: list[Watched] = []
         self.step = 0
 
     def watch(self, columns: dict[str, int]) -> Watched:
         """Returns a new source with this number of columns under each name."""
         source = Watched({name: width for name, width in columns.items() if width}, self._num_envs, self._device)
-        self._sources.append(source)
+        self.sources.append(source)
         return source
 
     def report(self) -> list[str]:
         """Returns a sentence per name whose values were not finite since the last report. Waits for the device."""
-        sources = [source for source in self._sources if source.names]
+        sources = [source for source in self.sources if source.names]
         table = torch.cat([source.counts() for source in sources]).tolist() if sources else []
         names = [name for source in sources for name in source.names]
         for source in sources:

@@ -6,7 +6,7 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
 from rich.table import Table
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from humoslope.errors import UserError
 from humoslope.managers.terms import StatefulTerm, StatefulTerms, TermCfg, Terms, bind, first_value
+from humoslope.ranges import Finite, NotNegative, Range
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
@@ -31,8 +32,8 @@ class ObservationTermCfg(TermCfg):
         scale: Factor on the noisy value.
     """
 
-    noise: float = 0.0
-    scale: float = 1.0
+    noise: NotNegative = 0.0
+    scale: Finite = 1.0
 
 
 def any_noise(env: Env, frame: Tensor) -> Tensor:
@@ -54,7 +55,7 @@ class ObservationGroupCfg(StrictCfg):
     """
 
     terms: Terms[ObservationTermCfg] = field(default_factory=Terms)
-    history: int = 1
+    history: Annotated[int, Range(1, 1000)] = 1
     enable_corruption: bool = False
     noise_source: Callable[..., Tensor] = any_noise
 
@@ -118,8 +119,6 @@ class ObservationGroup:
     """
 
     def __init__(self, env: Env, name: str, cfg: ObservationGroupCfg) -> None:
-        if cfg.history < 1:
-            raise UserError(f"observation group '{name}': history {cfg.history} must be at least 1.")
         if not len(cfg.terms):
             raise UserError(f"observation group '{name}' has no terms.")
         self.env, self.cfg, self.history = env, cfg, cfg.history
@@ -128,8 +127,6 @@ class ObservationGroup:
         self.term_shapes = {term: self._first_shape(f"{name}.{term}", call) for term, call in self._calls.items()}
         # The calls that found the shapes belong to no episode.
         self.stateful.reset(torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
-        for term, term_cfg in cfg.terms.items():
-            _check_numbers(f"observation '{name}.{term}'", term_cfg)
         rest = next(iter(self.term_shapes.values()))[1:]  # shape beyond dimension 1
         if len(self.term_shapes) > 1 and any(len(shape) > 1 for shape in self.term_shapes.values()):
             shaped = next(term for term, shape in self.term_shapes.items() if len(shape) > 1)
@@ -200,13 +197,6 @@ class ObservationGroup:
         past = self._history.split([width * self.history for width in self._widths], dim=1)
         pairs = zip(past, frame.split(self._widths, dim=1), strict=True)
         return torch.cat([part for old, new in pairs for part in (old[:, new.shape[1] :], new)], dim=1)
-
-
-def _check_numbers(where: str, cfg: ObservationTermCfg) -> None:
-    if not math.isfinite(cfg.scale):
-        raise UserError(f"{where}: scale is {cfg.scale:g}; it must be a finite number.")
-    if not 0.0 <= cfg.noise < math.inf:
-        raise UserError(f"{where}: noise is {cfg.noise:g}; it must be a half-width of 0 or more.")
 
 
 def _size(shape: tuple[int, ...]) -> str:

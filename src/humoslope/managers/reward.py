@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from humoslope.errors import UserError, unknown
 from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind, first_value
+from humoslope.ranges import Finite
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -25,7 +25,7 @@ class RewardTermCfg(TermCfg):
         weight: Reward per second and unit of the term's value; a term of weight 0 is not built.
     """
 
-    weight: float = 1.0
+    weight: Finite = 1.0
 
 
 class RewardManager:
@@ -39,9 +39,6 @@ class RewardManager:
     def __init__(self, env: Env, cfg: Terms[RewardTermCfg]) -> None:
         self._env = env
         self._stateful = StatefulTerms()
-        for name, term in cfg.items():
-            if not math.isfinite(term.weight):
-                raise UserError(f"reward '{name}': weight is {term.weight:g}; it must be a finite number.")
         terms = {name: term for name, term in cfg.items() if term.weight != 0.0}
         self.names = list(terms)
         self._curves = tuple(f"Reward/{name}" for name in terms)

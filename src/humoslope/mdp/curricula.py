@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from humoslope.errors import UserError, require_not_negative, require_positive
+from humoslope.errors import UserError
 from humoslope.managers.command import commanded_and_walked
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.mdp.harness import Harness
+from humoslope.ranges import NotNegative, Positive, Share
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -44,19 +45,15 @@ class TerrainLevels(CurriculumTerm):
     def __init__(
         self,
         env: Env,
-        up: float = 0.8,
-        down: float = 0.4,
-        least_commanded: float = 1.0,
+        up: Share = 0.8,
+        down: Share = 0.4,
+        least_commanded: NotNegative = 1.0,
         harness: str = "",
-        spread: float = 0.0,
-        up_commanded: float = 2.0,
+        spread: Share = 0.0,
+        up_commanded: Positive = 2.0,
     ) -> None:
         if not 0.0 < down < up <= 1.0:
             raise UserError(f"terrain levels: down {down:g} and up {up:g} must be shares with 0 < down < up <= 1.")
-        if not 0.0 <= spread <= 1.0:
-            raise UserError(f"terrain levels: spread {spread:g} must be between 0 and 1.")
-        require_not_negative("terrain levels", least_commanded=least_commanded)
-        require_positive("terrain levels", up_commanded=up_commanded)
         env.tiles.set_level(torch.randint_like(env.tiles.level, max(1, round(spread * env.tiles.num_levels))))
         self._env, self._up, self._down, self._least = env, up, down, least_commanded
         self._up_commanded = up_commanded

@@ -13,12 +13,17 @@ from humoslope.mdp.harness import Harness
 from humoslope.mdp.room import check_room
 from humoslope.mdp.selection import Body, Found, body_id
 from humoslope.mdp.soles import Soles
-from humoslope.ranges import NotNegative, NotNegativeSpan, Share, Span
+from humoslope.ranges import NotNegative, NotNegativeSpan, Range, Share, Span
 from humoslope.sim.fields import replace
 from humoslope.slope import quaternion
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
+
+Factors = Annotated[tuple[float, float], Range(0.01, 10.0)]
+"""Lowest and highest factor on a gain."""
+Kick = Annotated[float, Range(0.0, 10.0)]
+"""Change of a velocity at once, m/s."""
 
 
 class ResetOnTile(StatefulTerm):
@@ -94,7 +99,7 @@ def _harness(env: Env, name: str) -> None:
 def push(
     env: Env,
     mask: Tensor,
-    speed: NotNegative,
+    speed: Kick,
     harness: Annotated[str, Found(_harness)] = "",
     harnessed: Share = 0.4,
 ) -> None:
@@ -112,7 +117,7 @@ def push(
     replace(qvel[:, :2], mask, qvel[:, :2] + kick)
 
 
-def push_in_random_direction(env: Env, mask: Tensor, speed: NotNegative) -> None:
+def push_in_random_direction(env: Env, mask: Tensor, speed: Kick) -> None:
     """Changes the root's horizontal velocity at once, always by the same amount.
 
     Args:
@@ -145,7 +150,9 @@ def set_friction(env: Env, mask: Tensor, mu: Tensor) -> None:
             replace(field[:, env.sim.model.geom(geom).id, 0], mask, mu)
 
 
-def randomize_mass(env: Env, mask: Tensor, body: Body, added: Span) -> None:
+def randomize_mass(
+    env: Env, mask: Tensor, body: Body, added: Annotated[tuple[float, float], Range(-100.0, 100.0)]
+) -> None:
     """Adds mass to a body, whose inertia scales with it.
 
     Args:
@@ -158,7 +165,7 @@ def randomize_mass(env: Env, mask: Tensor, body: Body, added: Span) -> None:
     env.masses.set(mask, slice(i, i + 1), added=env.uniform(*added, 1))
 
 
-def randomize_com(env: Env, mask: Tensor, body: Body, offset: NotNegative) -> None:
+def randomize_com(env: Env, mask: Tensor, body: Body, offset: Annotated[float, Range(0.0, 1.0)]) -> None:
     """Moves the centre of mass of a body.
 
     Args:
@@ -171,7 +178,7 @@ def randomize_com(env: Env, mask: Tensor, body: Body, offset: NotNegative) -> No
     env.sim.recompute_constants()
 
 
-def randomize_gains(env: Env, mask: Tensor, stiffness: NotNegativeSpan, damping: NotNegativeSpan) -> None:
+def randomize_gains(env: Env, mask: Tensor, stiffness: Factors, damping: Factors) -> None:
     """Scales the gains of every joint's position control, each on its own.
 
     Args:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
 import zipfile
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 import trimesh
 
 from humoslope.errors import UserError
-from humoslope.files import write_text
+from humoslope.files import temporary_folder, write_text
 from humoslope.replay.shapes import Shape, joined
 from humoslope.scene.robot import MeshSource
 
@@ -30,8 +29,8 @@ def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
         UserError: If the package is unavailable, has another hash, or lacks a mesh.
     """
     folder = cache / robot
-    with tempfile.TemporaryDirectory() as temporary:
-        with zipfile.ZipFile(_download(source, Path(temporary))) as wheel:
+    with temporary_folder() as temporary:
+        with zipfile.ZipFile(_download(source, temporary)) as wheel:
             meshes = {}
             for file in sorted({visual.file for visual in source.visuals}):
                 try:

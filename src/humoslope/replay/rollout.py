@@ -1,7 +1,7 @@
 """The rollout file: one walk of one robot, with everything that a viewer shows. Format 1.
 
-A rollout is a NumPy archive (`numpy.load` opens it, nothing in it is pickled) of one array `header`, a JSON text, of
-`terrain_heights` and of one array per column below, one row for each control step.
+A rollout is a NumPy archive (`numpy.load` opens it, nothing in it is pickled; its zip comment is its SHA-256) of one
+array `header`, a JSON text, of `terrain_heights` and of one array per column below, one row for each control step.
 A row holds the state at the end of its step, before a robot that has fallen is reset. Lengths are in metres,
 times in seconds, angles in rad, forces in N, torques in Nm, quaternions (w, x, y, z); `_w` is the world frame, `_t` the
 frame along the ground in the heading direction. Numbers are float32, masks bool, counts int32.
@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humoslope.errors import UserError, unknown
-from humoslope.files import write_atomically
+from humoslope.seal import read_arrays, write_arrays
 
 NAME, VERSION = "humoslope-rollout", 1
 LARGEST = 1e9
@@ -191,16 +191,11 @@ class Rollout:
         return names
 
     def save(self, path: Path) -> None:
-        """Writes the file atomically."""
+        """Writes the file, sealed, in one step."""
         header = self.header | {"format": NAME, "version": VERSION, "events": [e._asdict() for e in self.events]}
         arrays: dict[str, Any] = {f.name: getattr(self.columns, f.name) for f in fields(Columns)}
         arrays |= {"header": np.array(json.dumps(header)), "terrain_heights": self.terrain_heights}
-
-        def write(temporary: Path) -> None:
-            with temporary.open("wb") as file:  # given a path, NumPy would append a suffix
-                np.savez_compressed(file, **arrays)
-
-        write_atomically(path, write)
+        write_arrays(path, arrays)
 
 
 def load_rollout(path: Path) -> Rollout:
@@ -212,13 +207,13 @@ def load_rollout(path: Path) -> Rollout:
     if not path.is_file():
         raise UserError(f"rollout '{path}' does not exist.")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if "header" not in archive.files:
-                raise foreign(path)
-            header = json.loads(str(archive["header"]))
-            if not isinstance(header, dict) or header.get("format") != NAME:
-                raise foreign(path)
-            arrays = {name: archive[name] for name in (*WIDTHS, "terrain_heights") if name in archive.files}
+        archive = read_arrays(path)
+        if "header" not in archive:
+            raise foreign(path)
+        header = json.loads(str(archive["header"]))
+        if not isinstance(header, dict) or header.get("format") != NAME:
+            raise foreign(path)
+        arrays = {name: archive[name] for name in (*WIDTHS, "terrain_heights") if name in archive}
     except OSError as error:
         raise UserError(f"rollout '{path}' cannot be read: {error.strerror or error}.") from None
     except (

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
-from humoslope.errors import UserError
+from humoslope.ranges import Range
 from humoslope.scene.signals import Signals
 from humoslope.scene.tiles import Tiles
 from humoslope.slope.descriptor import Descriptor, terrain_descriptor
@@ -27,9 +28,9 @@ class HeightScanCfg(StrictCfg):
         dead_band: Slope up to which the ground counts neither as up nor as down, rad. 3 degrees. Ours.
     """
 
-    size: int = 7
-    spacing: float = 0.2
-    dead_band: float = math.radians(3.0)
+    size: Annotated[int, Range(2, 64)] = 7
+    spacing: Annotated[float, Range(0.001, 100.0)] = 0.2
+    dead_band: Annotated[float, Range(0.0, 0.5 * math.pi, open_high=True)] = math.radians(3.0)
 
 
 class HeightScan:
@@ -41,10 +42,6 @@ class HeightScan:
     """
 
     def __init__(self, cfg: HeightScanCfg, signals: Signals, terrain: TerrainQueries, tiles: Tiles) -> None:
-        if cfg.size < 2 or not 0.0 < cfg.spacing < math.inf:
-            raise UserError("scene.height_scan: size must be at least 2, and spacing positive, in m.")
-        if not 0.0 <= cfg.dead_band < 0.5 * math.pi:
-            raise UserError(f"scene.height_scan: dead_band {cfg.dead_band:g} must be from 0 to less than pi/2, in rad.")
         self.cfg = cfg
         self._signals, self._terrain, self._tiles = signals, terrain, tiles
         device = tiles.origin_w.device

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mjbatch
 import mujoco
 import numpy as np
@@ -53,8 +55,10 @@ class NativeSimulation:
         self._state = {field: self._batch.bind(field) for field in STATE_FIELDS}
         self._past, self._past_of = past_controls(model)
         self._past += mujoco.mj_stateSize(model, _BEFORE_HISTORY)
-        self._qpos, self._qvel = self.state("qpos"), self.state("qvel")
         self._expanded: dict[str, Tensor] = {}
+        self._readings: dict[str, Tensor] = {}
+        self._lent: set[int] = set()  # addresses of the memory behind tensors that were given away
+        self._qpos, self._qvel = self.state("qpos"), self.state("qvel")
         self._warning: NDArray[np.int32] = self._batch.bind("warning")  # [N, kind, (last info, count)]
         # Times a buffer was full in episodes that were reset since, and times that were reported.
         self._full_before = np.zeros(len(_FULL), dtype=np.int64)
@@ -64,14 +68,15 @@ class NativeSimulation:
         """See `Simulation.read`."""
         check_reading(self.model, field)
         try:
-            return torch.from_numpy(self._batch.bind(field, np.float32))
+            self._readings[field] = self._lend(self._batch.bind(field, np.float32))
         except ValueError:
             raise no_access(field, self.backend) from None
+        return self._readings[field]
 
     def state(self, field: str) -> Tensor:
         """See `Simulation.state`. A strided float64 view into the rows that the physics reads."""
         check_state(field)
-        return torch.from_numpy(self._state[field])
+        return self._lend(self._state[field])
 
     def expand(self, field: str) -> Tensor:
         """See `Simulation.expand`. Float64, so that worlds left alone keep the model's exact values."""
@@ -79,7 +84,7 @@ class NativeSimulation:
             return self._expanded[field]
         check_model_field(self.model, field)
         try:
-            values = torch.from_numpy(self._batch.expand(field))
+            values = self._lend(self._batch.expand(field))
         except ValueError:
             raise no_access(field, self.backend) from None
         if field in _FRAMES:
@@ -141,6 +146,35 @@ class NativeSimulation:
         # Only the last physics step of a call can leave a NaN uncounted; it makes the sum NaN and the comparison false.
         fine = self._qpos.sum(dim=1).isfinite() & (self._qvel.abs().amax(dim=1) <= FASTEST)
         return torch.from_numpy(bad) | ~fine
+
+    def owns(self, tensor: Tensor) -> bool:
+        """See `Simulation.owns`."""
+        return tensor.untyped_storage().data_ptr() in self._lent
+
+    def snapshot(self) -> dict[str, Any] | None:
+        """See `Simulation.snapshot`."""
+        return {
+            "rows": torch.from_numpy(self._rows.copy()),
+            "warning": torch.from_numpy(self._warning.copy()),
+            "expanded": {field: values.clone() for field, values in self._expanded.items()},
+            "readings": {field: values.clone() for field, values in self._readings.items()},
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """See `Simulation.restore`."""
+        for field, values in snapshot["expanded"].items():
+            self.expand(field).copy_(values)
+        if self._expanded:
+            self.recompute_constants()
+        self._rows[:] = snapshot["rows"].numpy()
+        self._warning[:] = snapshot["warning"].numpy()
+        for field, values in snapshot["readings"].items():
+            self.read(field).copy_(values)
+
+    def _lend(self, array: NDArray[Any]) -> Tensor:
+        tensor = torch.from_numpy(array)
+        self._lent.add(tensor.untyped_storage().data_ptr())
+        return tensor
 
     def warnings(self) -> list[str]:
         """See `Simulation.warnings`. Both buffers live in the model's arena, whose size is `<size memory="...">`."""

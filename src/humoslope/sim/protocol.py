@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import torch
@@ -109,6 +109,19 @@ class Simulation(Protocol):
     def diverged(self) -> Tensor:
         """Returns the worlds [N] (bool) whose physics failed since they were last reset: a value is not finite, or a
         velocity is beyond `fields.FASTEST`."""
+        ...
+
+    def owns(self, tensor: Tensor) -> bool:
+        """Returns whether a tensor is a view of the physics' own memory that this object has lent."""
+        ...
+
+    def snapshot(self) -> dict[str, Any] | None:
+        """Returns a copy of all from which the steps to come follow: state, warm start, model fields, readings; None if
+        this backend cannot go on from one exactly."""
+        ...
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Goes on from a snapshot of a simulation of the same model and size."""
         ...
 
     def warnings(self) -> list[str]:

@@ -202,6 +202,22 @@ class WarpSimulation:
         fine = self._qpos.abs().amax(dim=1) <= _LARGEST  # false for NaN
         return ~(fine & (self._qvel.abs().amax(dim=1) <= FASTEST))
 
+    def owns(self, tensor: Tensor) -> bool:
+        """See `Simulation.owns`; there is no snapshot that would need it."""
+        return False
+
+    def snapshot(self) -> dict[str, Any] | None:
+        """See `Simulation.snapshot`. A GPU finds contacts in any order, so that no two runs agree to the last digit."""
+        return None
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """See `Simulation.restore`.
+
+        Raises:
+            NotImplementedError: Always; there is no snapshot.
+        """
+        raise NotImplementedError
+
     def warnings(self) -> list[str]:
         """See `Simulation.warnings`. Synchronises."""
         seen = 0

@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humoslope.errors import UserError
+from humoslope.ranges import NotNegative, Range, Seed, check_config
 from humoslope.terrain import registry
 
 SPAWN_X = 0.75
@@ -23,6 +24,11 @@ shorter bump carries only a part of a foot. Ours."""
 
 SLOPE_KEPT = 0.5
 """Share of its grade, as a tangent, that a tile must really have somewhere; with less, its slope has been lost."""
+
+MOST_HEIGHTS = 20_000_000
+"""Most heights of a ground: with what is derived from them they take some 2 GB, and a minute or two to draw. Ours."""
+
+Metres = Annotated[float, Range(0.001, 10_000.0)]
 
 LONGEST = 60.0
 """Longest tile that is tried to find a length that would do, m."""
@@ -95,14 +101,14 @@ class TerrainGridCfg:
         seed: Seed of the random numbers; a tile depends only on (seed, column, level).
     """
 
-    columns: Mapping[str, float]
-    levels: int = 10
-    num_columns: int = 20
-    tile_length: float = 10.0
-    tile_width: float = 5.0
-    cell: float = 0.1
-    border: float = 3.0
-    seed: int = 0
+    columns: Mapping[str, NotNegative]
+    levels: Annotated[int, Range(1, 1000)] = 10
+    num_columns: Annotated[int, Range(1, 1000)] = 20
+    tile_length: Metres = 10.0
+    tile_width: Metres = 5.0
+    cell: Metres = 0.1
+    border: Annotated[float, Range(0.0, 1000.0)] = 3.0
+    seed: Seed = 0
 
     def build(self) -> Terrain:
         """Draws every tile.
@@ -111,25 +117,18 @@ class TerrainGridCfg:
             UserError: If a value is impossible, a terrain's function returns no ground, or a tile is too small for what
                 it has to hold.
         """
-        self._check()
+        check_config("terrain", self)
+        _check_extents(self)
         kinds = [registry.find(name) for name in self._column_names()]
         difficulties = [level / max(self.levels - 1, 1) for level in range(self.levels)]
         terrain = _lay_out(self, [[Tile(kind, kind.grade_at(d)) for kind in kinds] for d in difficulties])
         omnidirectional = frozenset(column for column, kind in enumerate(kinds) if kind.omnidirectional)
         return replace(terrain, omnidirectional=omnidirectional)
 
-    def _check(self) -> None:
-        for field in ("levels", "num_columns"):
-            if getattr(self, field) < 1:
-                raise UserError(f"terrain grid: {field} is {getattr(self, field)}; it must be at least 1.")
-        _check_extents(self)
-
     def _column_names(self) -> list[str]:
-        for name, share in self.columns.items():
+        for name in self.columns:
             if not registry.find(name).training:
                 raise UserError(f"terrain grid: '{name}' is for evaluation only; policies must not train on it.")
-            if not 0.0 <= share < math.inf:
-                raise UserError(f"terrain grid: the share of '{name}' is {share}; it must be 0 or more.")
         shares = {name: share for name, share in self.columns.items() if share > 0.0}
         if not shares:
             raise UserError("terrain grid: the shares of columns sum to 0; give at least one terrain a share above 0.")
@@ -162,24 +161,23 @@ class TileRowCfg:
     """
 
     tiles: Sequence[Tile]
-    tile_length: float = 10.0
-    tile_width: float = 5.0
-    cell: float = 0.1
-    border: float = 3.0
-    seed: int = 0
+    tile_length: Metres = 10.0
+    tile_width: Metres = 5.0
+    cell: Metres = 0.1
+    border: Annotated[float, Range(0.0, 1000.0)] = 3.0
+    seed: Seed = 0
 
     def build(self) -> Terrain:
         """Draws every tile; raises `UserError` as `TerrainGridCfg.build`."""
         if not self.tiles:
             raise UserError("terrain: a row has no tiles; give it at least one.")
+        check_config("terrain", self)
         _check_extents(self)
         return _lay_out(self, [self.tiles])
 
 
 def _check_extents(layout: TerrainGridCfg | TileRowCfg) -> None:
     for field in ("tile_length", "tile_width", "cell"):
-        if not 0.0 < getattr(layout, field) < math.inf:
-            raise UserError(f"terrain: {field} is {getattr(layout, field)} m; it must be positive.")
         if getattr(layout, field) < layout.cell:
             raise UserError(f"terrain: cell is {layout.cell} m, larger than {field}, {getattr(layout, field)} m.")
     for field in ("tile_length", "tile_width"):
@@ -190,10 +188,23 @@ def _check_extents(layout: TerrainGridCfg | TileRowCfg) -> None:
         raise UserError(
             f"terrain: tile_length is {layout.tile_length} m; robots start at {SPAWN_X} m, so it must be longer."
         )
-    if not 0.0 <= layout.border < math.inf:
-        raise UserError(f"terrain: border is {layout.border} m; it must be 0 or more.")
-    if layout.seed < 0:
-        raise UserError(f"terrain: seed is {layout.seed}; it must be 0 or more.")
+    levels, columns = _tiles_of(layout)
+    heights = math.prod(
+        count * (extent / layout.cell + 1) + 2 * layout.border / layout.cell
+        for count, extent in ((levels, layout.tile_length), (columns, layout.tile_width))
+    )
+    if heights > MOST_HEIGHTS:
+        finest = layout.cell * math.sqrt(heights / MOST_HEIGHTS)
+        raise UserError(
+            f"terrain: {levels} x {columns} tiles of {layout.tile_length:g} x {layout.tile_width:g} m have "
+            f"{heights / 1e6:.0f} million heights, of which there is room for {MOST_HEIGHTS / 1e6:.0f} million; choose "
+            f"a cell of at least {finest:.2g} m, or fewer or smaller tiles."
+        )
+
+
+def _tiles_of(layout: TerrainGridCfg | TileRowCfg) -> tuple[int, int]:
+    """Numbers of tiles along x and along y."""
+    return (layout.levels, layout.num_columns) if isinstance(layout, TerrainGridCfg) else (1, len(layout.tiles))
 
 
 def _lay_out(layout: TerrainGridCfg | TileRowCfg, tiles: Sequence[Sequence[Tile]]) -> Terrain:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
-import signal
+import sys
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -22,8 +22,8 @@ from humoslope.deploy.player import Player, Trial, TrialCfg
 from humoslope.errors import UserError
 from humoslope.evaluation.margins.quantities import Name, Quantity, Setup, Success, quantities
 from humoslope.evaluation.margins.search import FIRST_LOOK, Rule, Search
-from humoslope.files import write_text
-from humoslope.interrupts import Interrupt
+from humoslope.interrupts import Interrupt, leave_signals_to_parent
+from humoslope.seal import read_json, write_json
 
 TRIALS_VERSION = 1
 """Increased when a trial of the same key becomes another one."""
@@ -69,11 +69,13 @@ class TrialStore:
         self._path, self._fingerprint, self._unsaved = path, fingerprint, 0
         self._trials: dict[Key, Trial] = {}
         try:
-            raw = json.loads(path.read_text(encoding="utf-8"))
+            raw = read_json(path)
             if raw["fingerprint"] == fingerprint:
                 self._trials = {(n, float(v), int(i)): Trial(**fields) for (n, v, i), fields in raw["trials"]}
-        except (OSError, ValueError, KeyError, TypeError):
+        except FileNotFoundError:
             pass
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            print(f"'{path}' is damaged ({error}); its trials are run anew.", file=sys.stderr)
 
     def __len__(self) -> int:
         return len(self._trials)
@@ -92,7 +94,7 @@ class TrialStore:
     def save(self) -> None:
         """Writes the file."""
         trials = [[key, asdict(trial)] for key, trial in sorted(self._trials.items())]
-        write_text(self._path, json.dumps({"fingerprint": self._fingerprint, "trials": trials}))
+        write_json(self._path, {"fingerprint": self._fingerprint, "trials": trials})
         self._unsaved = 0
 
 
@@ -204,7 +206,7 @@ class Certificate:
         """
         pool = None
         if processes > 1:
-            pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _ignore_signals)
+            pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), leave_signals_to_parent)
         try:
             if not self._drive([self._values(NOMINAL)], pool, processes, interrupt, on_progress):
                 return False
@@ -349,9 +351,3 @@ class Certificate:
             "share_at_least": self._rule.lower(series.successes, n),
             "mean_speed": float(np.mean(lasted)) if lasted else None,
         }
-
-
-def _ignore_signals() -> None:
-    """Leaves Ctrl-C, which reaches every process, and SIGTERM to the first process, which ends the others."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from humoslope.errors import UserError
 from humoslope.evaluation.track.metrics import BIN, Figure
 from humoslope.evaluation.track.summary import Diagnosis, Outcomes, Summary, diagnose, profile, summarise
 from humoslope.provenance import plain
+from humoslope.seal import read_json
 from humoslope.statistics import Average, Bools, Proportion
 from humoslope.terrain.course import Segment
 
@@ -245,14 +245,17 @@ def _files(source: str) -> list[tuple[str, Path]]:
 
 def _read(name: str, path: Path) -> Result:
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        report = read_json(path)
     except FileNotFoundError:
         raise UserError(f"result '{path}' does not exist.") from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
-        raise UserError(f"'{path}' is not a readable JSON file.") from None
+    except OSError as error:
+        raise UserError(f"result '{path}' cannot be read: {error.strerror}.") from None
+    except (ValueError, RecursionError) as error:
+        fault = str(error) if "checksum" in str(error) else "it is not a readable JSON file"
+        raise UserError(f"result '{path}' is damaged or was changed by hand: {fault}.") from None
     try:
-        return from_report(report, name)
-    except (KeyError, TypeError, IndexError):
+        return _believable(from_report(report, name))
+    except (KeyError, TypeError, IndexError, ValueError, AttributeError):
         raise UserError(f"'{path}' is not a result of `humoslope evaluate`, or of another version.") from None
 
 
@@ -291,6 +294,24 @@ def from_report(report: Mapping[str, Any], name: str = "") -> Result:
         ),
         grades=tuple(sorted((_grade(g) for g in report["grades"]), key=lambda g: g.grade)),
     )
+
+
+def _believable(result: Result) -> Result:
+    """The result itself.
+
+    Raises:
+        ValueError: If a number in it is not finite, or a count is larger than what it is a part of.
+    """
+    if not isinstance(result.finished, int) or not isinstance(result.trials, int) or result.finished > result.trials:
+        raise ValueError("finished")
+    for summary in [g.summary for g in result.grades] + [c.summary for c in result.cells]:
+        for figure in summary.values():
+            numbers = vars(figure).values() if isinstance(figure, Proportion | Average) else (figure,)
+            if not all(v is None or (isinstance(v, int | float) and math.isfinite(v)) for v in numbers):
+                raise ValueError("a figure")
+            if isinstance(figure, Proportion) and not 0 <= figure.count <= figure.total != 0:
+                raise ValueError("a proportion")
+    return result
 
 
 def _training(checkpoint: Mapping[str, Any]) -> Training:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 from humoslope.errors import UserError
 from humoslope.evaluation.swing.fit import SwingFit
-from humoslope.files import write_text
+from humoslope.seal import read_json, write_json
 from humoslope.slope.swing import SwingCalibration
 
 WHAT = "swing calibration"
@@ -46,7 +45,7 @@ def write_calibration(path: Path, found: SwingFit, meta: dict[str, Any]) -> None
         "bins": bins,
         **meta,
     }
-    write_text(path, json.dumps(whole, indent=2, allow_nan=False) + "\n")
+    write_json(path, whole)
 
 
 def load_calibration(path: Path) -> tuple[SwingCalibration, dict[str, Any]]:
@@ -58,9 +57,13 @@ def load_calibration(path: Path) -> tuple[SwingCalibration, dict[str, Any]]:
     if not path.is_file():
         raise UserError(f"calibration '{path}' does not exist; `humoslope calibrate CHECKPOINT` makes one.")
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError, RecursionError):
-        raise UserError(f"calibration '{path}' is broken or truncated, or no JSON at all.") from None
+        meta = read_json(path)
+    except OSError as error:
+        raise UserError(f"calibration '{path}' cannot be read: {error.strerror}.") from None
+    except (ValueError, RecursionError):
+        raise UserError(
+            f"calibration '{path}' is broken or truncated, was changed by hand, or is no JSON at all."
+        ) from None
     if not isinstance(meta, dict) or meta.get("what") != WHAT:
         raise UserError(f"'{path}' is not a swing calibration.")
     if meta.get("format") != FORMAT:

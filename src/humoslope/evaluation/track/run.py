@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +31,7 @@ from humoslope.interrupts import Interrupt, deferred_interrupts
 from humoslope.learning.policy import Provenance, load_actor, read_spec
 from humoslope.provenance import git_state, plain
 from humoslope.registry import TaskCfg
+from humoslope.seal import write_json
 
 REFRESH_S = 2.0
 """Time between two updates of the table on the screen, s."""
@@ -60,14 +60,14 @@ class Plan:
     command_line: str
 
 
-def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console: Console) -> bool:
+def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console: Console) -> int:
     """Runs the missing trials of all checkpoints and writes the results, also after an interruption.
 
     Args:
         checkpoints: Checkpoints of one method, each with its task as it was trained; their trials are pooled.
 
     Returns:
-        True if all trials are finished, False if SIGINT or SIGTERM ended the evaluation early.
+        0 if all trials are finished, else the signal that ended the evaluation early.
 
     Raises:
         UserError: If the plan is impossible, or a checkpoint is given twice.
@@ -92,7 +92,7 @@ def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console:
             if not complete:
                 break
     _conclude(console, evaluations, plan, len(checkpoints), out)
-    return complete
+    return interrupt.number if not complete else 0
 
 
 class _Evaluation:
@@ -182,21 +182,8 @@ def _conclude(console: Console, evaluations: list[_Evaluation], plan: Plan, chec
     trials = map_arrays(lambda *parts: np.concatenate(parts), *(e.saved.trials for e in evaluations))
     finished, wanted = int(trials.finished.sum()), checkpoints * protocol.num_trials
     pooled = dataclasses.replace(protocol, trials=protocol.trials * checkpoints)
-    console.print(cell_table(trials, pooled, "Held-out track"))
     partial = finished < wanted
-    if partial:
-        console.print(
-            f"[yellow]Partial: {finished} of {wanted} trials. Failures end sooner than successes, so the rates are too "
-            "low; the same command continues.[/yellow]",
-            soft_wrap=True,
-        )
     limit = None if partial or not plan.sweep else _limit(trials, protocol)
-    if limit is not None:
-        console.print(_say(limit, protocol), soft_wrap=True)
-    for evaluation in evaluations:
-        console.print(evaluation.source.training, soft_wrap=True, highlight=False)
-        for warning in evaluation.env.sim.warnings():
-            console.print(f"[yellow]physics: {warning}[/yellow]")
     report = _report(evaluations, trials, plan) | {
         "trials": wanted,
         "partial": partial,
@@ -208,16 +195,31 @@ def _conclude(console: Console, evaluations: list[_Evaluation], plan: Plan, chec
     if not plan.sweep:
         paper = read_paper()
         sheets = [main_table(results, paper), ablation_table(results, paper), diagnostics_table(results), *sheets]
-        sheets[0].show()
     texts = {
-        ".json": json.dumps(report, indent=2, allow_nan=False) + "\n",
         ".csv": sheets[-1].to_csv(),
         ".md": "\n".join(sheet.to_markdown() for sheet in sheets),
     }
+    write_json(_beside(out, ".json"), report)
     for end, text in texts.items():
-        path = _beside(out, end)
-        write_text(path, text)
-        console.print(f"wrote {path}", soft_wrap=True)
+        write_text(_beside(out, end), text)
+
+    console.print(cell_table(trials, pooled, "Held-out track"))
+    if partial:
+        console.print(
+            f"[yellow]Partial: {finished} of {wanted} trials. Failures end sooner than successes, so the rates are too "
+            "low; the same command continues.[/yellow]",
+            soft_wrap=True,
+        )
+    if limit is not None:
+        console.print(_say(limit, protocol), soft_wrap=True)
+    for evaluation in evaluations:
+        console.print(evaluation.source.training, soft_wrap=True, highlight=False)
+        for warning in evaluation.env.sim.warnings():
+            console.print(f"[yellow]physics: {warning}[/yellow]")
+    if not plan.sweep:
+        sheets[0].show()
+    for end in (".json", *texts):
+        console.print(f"wrote {_beside(out, end)}", soft_wrap=True)
 
 
 def _limit(trials: HeldOutTrials, protocol: HeldOutProtocol) -> SlopeLimit:

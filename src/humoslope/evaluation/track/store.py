@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 import zipfile
+import zlib
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -21,8 +23,8 @@ from humoslope.evaluation.track.metrics import METRICS_VERSION, RECORDED
 from humoslope.evaluation.track.protocol import HeldOutProtocol
 from humoslope.evaluation.track.recorder import TrackTrials
 from humoslope.evaluation.track.trials import HeldOutTrials, TrialScheduler
-from humoslope.files import write_atomically
 from humoslope.provenance import plain
+from humoslope.seal import read_arrays, write_arrays
 
 
 class SavedTrials(NamedTuple):
@@ -80,7 +82,7 @@ def save(path: Path, saved: SavedTrials, fingerprint: str, protocol: HeldOutProt
         trials = map_arrays(partial(where_arrays, padded.finished), padded, before.trials)
     about = {"fingerprint": fingerprint, "wall_clock_s": saved.wall_clock_s, "code": saved.code}
     arrays: dict[str, Any] = {name: np.array(value) for name, value in about.items()} | to_arrays(trials)
-    write_atomically(path, lambda temporary: np.savez_compressed(temporary, **arrays))
+    write_arrays(path, arrays)
 
 
 def load(path: Path, fingerprint: str, protocol: HeldOutProtocol) -> SavedTrials | None:
@@ -96,14 +98,16 @@ def load(path: Path, fingerprint: str, protocol: HeldOutProtocol) -> SavedTrials
 
 def _read(path: Path, fingerprint: str) -> SavedTrials | None:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays = read_arrays(path)
         if str(arrays.pop("fingerprint")) != fingerprint:
             return None
         wall_clock_s, code = float(arrays.pop("wall_clock_s")), tuple(arrays.pop("code").tolist())
         trials = from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials, "values": dict})
         return SavedTrials(trials, wall_clock_s, code)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+        print(f"'{path}' is damaged ({error}); its trials are walked anew.", file=sys.stderr)
         return None
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import signal
 from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from PIL import Image
 from humoslope.cpu import usable_cores
 from humoslope.errors import UserError
 from humoslope.files import write_atomically
+from humoslope.interrupts import leave_signals_to_parent
 from humoslope.replay.film.frames import Frames
 from humoslope.replay.film.raytrace import Picture
 from humoslope.replay.meshes import load_meshes
@@ -165,7 +165,7 @@ def _prepare(rollout: Rollout, cfg: VideoCfg) -> None:
     """Prepares a drawing process."""
     global _task  # noqa: PLW0603 - a process pool has no other place for what its processes keep
     _task = rollout, cfg
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the first one ends the others
+    leave_signals_to_parent()
 
 
 def _draw_one(step: int) -> Picture:

@@ -21,6 +21,8 @@ from urllib.parse import quote
 import rerun_cli
 
 from humoslope.errors import UserError
+from humoslope.files import temporary_folder
+from humoslope.interrupts import die_with_parent
 
 HOST = "127.0.0.1"
 """Address that is listened on: only this machine can connect."""
@@ -43,7 +45,8 @@ def open_window(path: Path) -> None:
             "or make a video with `humoslope video`."
         )
     with tempfile.TemporaryFile("w+") as said:
-        done = subprocess.run([program(), str(path), "--port", "auto", "--bind", HOST], stderr=said, check=False)
+        command = [program(), str(path), "--port", "auto", "--bind", HOST]
+        done = subprocess.run(command, stderr=said, check=False, preexec_fn=die_with_parent)
         if done.returncode:
             raise _failure(done.returncode, said)
 
@@ -71,13 +74,14 @@ def served(path: Path, web_port: int, port: int) -> Iterator[str]:
         raise UserError(f"--web-port and --port are both {port}; they must differ.")
     for option, number in (("web-port", web_port), ("port", port)):
         check_port(option, number)
-    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
-        shutil.copyfile(path, Path(folder) / SERVED)
+    with temporary_folder() as folder, tempfile.TemporaryFile("w+") as said:
+        shutil.copyfile(path, folder / SERVED)
         files = ThreadingHTTPServer((HOST, port), partial(_Files, f"http://{HOST}:{web_port}", directory=folder))
         threading.Thread(target=files.serve_forever, daemon=True).start()
         recording = f"http://{HOST}:{port}/{SERVED}"
         command = [program(), recording, "--serve-web", "--bind", HOST, "--web-viewer-port", str(web_port)]
-        page = subprocess.Popen(command, stdout=said, stderr=said)
+        # Between fork and exec it only calls functions of the C library.
+        page = subprocess.Popen(command, stdout=said, stderr=said, preexec_fn=die_with_parent)  # noqa: PLW1509
         try:
             _wait_for(page, web_port, said)
             yield f"http://{HOST}:{web_port}/?url={quote(recording, safe='')}"

@@ -1,0 +1,143 @@
+"""Seals: files that know when they are damaged.
+
+A zip archive (a checkpoint, a rollout, saved trials) carries the SHA-256 of everything before it as its comment; a JSON
+file (results, calibrations) carries it as its last entry. The files of a folder (an export) are listed with theirs in
+`SHA256SUMS`, in the format of `sha256sum`. Files of earlier versions have no seal, and are read without one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humoslope.errors import UserError
+from humoslope.files import write_atomically, write_text
+
+MARK = b"humoslope sha256 "
+END_OF_ARCHIVE = b"PK\x05\x06"
+END_SIZE = 22
+"""Length of a zip archive's last record without its comment, bytes; the last two hold the comment's length."""
+LAST_ENTRY = b',\n  "sha256": "'
+LIKE_A_SEAL = re.compile(rb"[0-9a-f]{24}")
+"""What is left of a seal, however it was damaged; none of these files ends in something like it by itself."""
+SUMS = "SHA256SUMS"
+
+
+def sealed(archive: bytes) -> bytes:
+    """A zip archive without comment, with the SHA-256 of its bytes as comment."""
+    assert archive[-END_SIZE : -END_SIZE + 4] == END_OF_ARCHIVE
+    length = len(MARK) + 64
+    body = archive[:-2] + length.to_bytes(2, "little") + MARK
+    return body + hashlib.sha256(body).hexdigest().encode()
+
+
+def is_sealed(content: bytes) -> bool:
+    """True if the SHA-256 at the end of a file is that of the bytes before it."""
+    body, digest = content[:-64], content[-64:]
+    return body.endswith(MARK) and hashlib.sha256(body).hexdigest().encode() == digest
+
+
+def is_without_seal(content: bytes) -> bool:
+    """True for a zip archive that ends where one without a comment does: it was never sealed."""
+    return content[-END_SIZE : -END_SIZE + 4] == END_OF_ARCHIVE and content[-2:] == b"\0\0"
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Writes a sealed NumPy archive in one step."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    content = sealed(buffer.getvalue())
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a NumPy archive; nothing in it is executed.
+
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: If it is damaged; whatever zip archives raise then, if it has no seal.
+    """
+    content = path.read_bytes()
+    if not is_sealed(content) and not is_without_seal(content):
+        raise ValueError("its checksum does not fit")
+    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+        return dict(archive)
+
+
+def write_json(path: Path, report: Mapping[str, Any]) -> None:
+    """Writes a sealed JSON file in one step."""
+    body = json.dumps({**report}, indent=2, allow_nan=False).encode().removesuffix(b"\n}") + LAST_ENTRY
+    digest = hashlib.sha256(body).hexdigest()
+    write_text(path, f'{body.decode()}{digest}"\n}}\n')
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file, without its seal.
+
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: If it is damaged or no JSON.
+    """
+    content = path.read_bytes()
+    body, _, tail = content.rpartition(LAST_ENTRY)
+    if body and tail == hashlib.sha256(body + LAST_ENTRY).hexdigest().encode() + b'"\n}\n':
+        read = json.loads(body + b"\n}")
+    elif LIKE_A_SEAL.search(content[-80:]) or LAST_ENTRY in content:
+        raise ValueError("its checksum does not fit")
+    else:
+        read = json.loads(content)
+    if isinstance(read, list | dict) and not _is_shallow(read):
+        raise ValueError("it is nested too deeply")
+    return read
+
+
+def write_sums(folder: Path, files: Iterable[str]) -> None:
+    """Lists files of a folder with their SHA-256."""
+    lines = [f"{hashlib.sha256((folder / file).read_bytes()).hexdigest()}  {file}\n" for file in sorted(files)]
+    write_text(folder / SUMS, "".join(lines))
+
+
+def check_sums(folder: Path) -> None:
+    """Compares the files of a folder with their list; a folder without a list passes.
+
+    Raises:
+        UserError: If a file is missing or another one than was listed, or the list itself is damaged.
+    """
+    path = folder / SUMS
+    if not path.exists():
+        return
+    again = f"export anew, or, if a change is meant, remove '{path}'"
+    try:
+        lines = path.read_bytes().decode("ascii").splitlines(keepends=True)
+    except (OSError, UnicodeDecodeError):
+        lines = []
+    listed = [re.fullmatch(r"([0-9a-f]{64})  (\S+)\n", line) for line in lines]
+    if not listed or None in listed:
+        raise UserError(f"'{path}' is damaged; {again}.")
+    for entry in listed:
+        assert entry is not None
+        digest, file = entry.groups()
+        try:
+            found = hashlib.sha256((folder / file).read_bytes()).hexdigest() if _is_inside(file) else ""
+        except OSError:
+            raise UserError(f"'{folder / file}', which '{path}' lists, cannot be read; {again}.") from None
+        if found != digest:
+            raise UserError(f"'{folder / file}' is damaged or was changed since it was exported; {again}.")
+
+
+def _is_inside(file: str) -> bool:
+    return not Path(file).is_absolute() and ".." not in Path(file).parts
+
+
+def _is_shallow(value: Any, depth: int = 100) -> bool:
+    """True if a JSON value is not nested deeper than anything that is written here."""
+    items = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
+    return depth > 0 and all(_is_shallow(item, depth - 1) for item in items)

@@ -1,0 +1,79 @@
+"""The memory of living objects, taken from their attributes and put back into equal objects.
+
+Managers, terms and their helpers keep their memory in tensors and numbers, as attributes. Walking over the attributes
+finds all of it without a method in each class, and cannot forget a term. What lies elsewhere, in closures, modules or
+NumPy generators, is not found.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
+from typing import Any
+
+from torch import Tensor
+
+Memory = dict[str, dict[str, Any]]
+"""Attributes by the path of the object that has them: tensors, numbers, None, and lists or tuples of tensors."""
+
+OPAQUE = (FunctionType, MethodType, BuiltinFunctionType, ModuleType, partial, type, str, bytes, Tensor)
+
+
+def take(roots: Mapping[str, object], others: Iterable[object], is_lent: Callable[[Tensor], bool]) -> Memory:
+    """Copies the memory of objects and of all that they hold.
+
+    Args:
+        roots: The objects by name.
+        others: Objects that are met on the way and do not belong to them.
+        is_lent: True for a tensor whose memory belongs to something else, such as the physics.
+    """
+    memory: Memory = {}
+    for path, holder in _walk(roots, others):
+        memory[path] = {}
+        for name, value in _items(holder):
+            if isinstance(value, Tensor):
+                if not is_lent(value):
+                    memory[path][name] = value.clone()
+            elif value is None or isinstance(value, bool | int | float):
+                memory[path][name] = value
+            elif _is_row(value) and not any(map(is_lent, value)):
+                memory[path][name] = type(value)(tensor.clone() for tensor in value)
+    return memory
+
+
+def put(memory: Memory, roots: Mapping[str, object], others: Iterable[object]) -> None:
+    """Gives a memory that was taken to objects of the same structure. Its tensors are theirs from then on."""
+    for path, holder in _walk(roots, others):
+        for name, value in memory.get(path, {}).items():
+            if isinstance(holder, dict):
+                holder[name] = value
+            else:
+                setattr(holder, name, value)
+
+
+def _walk(roots: Mapping[str, object], others: Iterable[object]) -> list[tuple[str, Any]]:
+    """Every object with attributes, and every dictionary, once, with the path that it was first met at."""
+    seen, found = {id(other) for other in others}, []
+    waiting = list(roots.items())
+    while waiting:
+        path, thing = waiting.pop(0)
+        if id(thing) in seen or isinstance(thing, OPAQUE) or dataclasses.is_dataclass(thing):
+            continue
+        seen.add(id(thing))
+        if isinstance(thing, list | tuple):
+            waiting += [(f"{path}[{i}]", item) for i, item in enumerate(thing)]
+        elif isinstance(thing, dict) or hasattr(thing, "__dict__"):
+            found.append((path, thing))
+            waiting += [(f"{path}.{name}", value) for name, value in _items(thing)]
+    return found
+
+
+def _items(thing: Any) -> list[tuple[str, Any]]:
+    items = thing.items() if isinstance(thing, dict) else vars(thing).items()
+    return [(name, value) for name, value in items if isinstance(name, str)]
+
+
+def _is_row(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(item, Tensor) for item in value)
