@@ -120,6 +120,25 @@ def test_overrides_of_a_task_reach_the_contract(described: Callable[[Change], Co
     assert contract.fall == contracts.Fall(0.4, None)
 
 
+def measure(*names: str) -> Change:
+    """A change after which these observations are 12 ms old, and the others one physics step."""
+
+    def change(cfg: EnvCfg) -> None:
+        cfg.sim.observation_age_s = 0.012
+        for name in names:
+            getattr(cfg.observations.actor.terms, name).params = {"measured": True}
+
+    return change
+
+
+def test_the_contract_says_how_old_what_is_seen_is(described: Callable[[Change], Contract]) -> None:
+    assert described(measure()).timing.observation_age_s == 0.005  # no observation is measured
+    own = ("base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel")
+    assert described(measure(*own)).timing.observation_age_s == 0.012
+    with pytest.raises(UserError, match=r"they differ: actor.base_ang_vel 5 ms, actor.projected_gravity 12 ms, "):
+        described(measure("projected_gravity", "joint_pos_rel", "joint_vel"))
+
+
 def undescribed(env: Any) -> Tensor:
     return env.signals.joint_pos
 
@@ -159,7 +178,7 @@ def test_every_registered_task_has_an_actor_that_can_be_described() -> None:
         cfg = build_task(name).env
         for term in vars(cfg.observations.actor.terms).values():
             assert term.func.measured_quantity in QUANTITIES
-            assert not term.params
+            assert set(term.params) <= {"measured"}
 
 
 def test_a_robot_whose_gyroscope_is_turned_is_not_exported(env: ManagerBasedRlEnv, monkeypatch: Any) -> None:

@@ -28,12 +28,16 @@ FOOT_DOWN_N = 5.0
 """A foot is down while the ground carries it with at least this normal force, N."""
 CLEARANCE = 0.01
 """Height of the feet above the ground at the start, m."""
+ROUNDING = 1e-6
+"""Fraction of a physics step that is rounding, not age."""
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 PHYSICS = (
     *("integrator", "cone", "jacobian", "solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance"),
     *("impratio", "gravity", "wind", "density", "viscosity", "disableflags", "enableflags"),
 )
 """Options of the physics that hold for every robot model of an export, in addition to the time step."""
+State = tuple[Array, Array]
+"""Positions and velocities, as MuJoCo has them."""
 
 
 class World:
@@ -133,12 +137,11 @@ class World:
                 f"{self._timestep:g} s."
             )
         self._delay = round(conditions.delay_s / self._timestep)  # physics steps
-        # The measurements belong to this many physics steps, and a part of the next one, after the last targets.
-        until_seen = (timing.control_step_s - timing.observation_age_s) / self._timestep
-        self._seen_after = math.floor(until_seen + 1e-6)
-        self._seen_part = until_seen - self._seen_after
-        if self._seen_part < 1e-6:
-            self._seen_part = 0.0
+        # Where the robot is, and what it measures of itself, belong to these numbers of physics steps ago.
+        self._place_age, self._sensor_age = (
+            age / self._timestep for age in (timing.physics_step_s, timing.observation_age_s)
+        )
+        self._kept = math.ceil(max(self._place_age, self._sensor_age) - ROUNDING)
 
     def reset(self, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, joints: Array | float = 0.0) -> None:
         """Places the robot at rest in its default pose, a centimetre above the ground.
@@ -178,34 +181,52 @@ class World:
         """Advances by one control step with joint targets `target` [J], rad."""
         # The motors compare targets with encoders.
         self._underway.append((self._steps_done + self._delay, target - self._bias))
-        for done in range(self._decimation):
+        for left in range(self._decimation, 0, -1):
             while self._underway and self._underway[0][0] <= self._steps_done:
                 self.data.ctrl[:] = self._underway.popleft()[1]
-            if done == self._seen_after:
-                self._take_state()
+            if left <= self._kept:
+                self._past.appendleft(self._state())
             mujoco.mj_step(self.model, self.data)
             self._steps_done += 1
-            if done == self._seen_after and self._seen_part:
-                self._take_state_between(self._seen_part)
+        self._look()
 
     def push(self, velocity_w: Array) -> None:
         """Adds a velocity [3], m/s, to the whole robot."""
         self.data.qvel[self._free_vel : self._free_vel + 3] += velocity_w
 
     def _take_state(self) -> None:
-        self._seen_pos, self._seen_vel = self.data.qpos.copy(), self.data.qvel.copy()
+        """Takes the present state for that of all times before."""
+        self._past: deque[State] = deque([self._state()] * self._kept, self._kept)  # the newest first
+        self._look()
 
-    def _take_state_between(self, part: float) -> None:
-        """Moves the seen state by this part of the way to the present one."""
-        way = np.zeros(self.model.nv)
-        mujoco.mj_differentiatePos(self.model, way, 1.0, self._seen_pos, self.data.qpos)
-        mujoco.mj_integratePos(self.model, self._seen_pos, way, part)
-        self._seen_vel += part * (self.data.qvel - self._seen_vel)
+    def _state(self) -> State:
+        return self.data.qpos.copy(), self.data.qvel.copy()
+
+    def _look(self) -> None:
+        self._seen_pos, self._seen_vel = self._state_before(self._place_age)
+        self._sensed_pos, self._sensed_vel = (
+            (self._seen_pos, self._seen_vel)
+            if self._sensor_age == self._place_age
+            else self._state_before(self._sensor_age)
+        )
+
+    def _state_before(self, steps: float) -> State:
+        """Returns the state so many physics steps ago, interpolated between the two around it."""
+        whole = math.floor(steps + ROUNDING)
+        part = steps - whole
+        newer_pos, newer_vel = self._past[whole - 1] if whole else self._state()
+        if part <= ROUNDING:
+            return newer_pos, newer_vel
+        older_pos, older_vel = self._past[whole]
+        way, pos = np.zeros(self.model.nv), newer_pos.copy()
+        mujoco.mj_differentiatePos(self.model, way, 1.0, newer_pos, older_pos)
+        mujoco.mj_integratePos(self.model, pos, way, part)
+        return pos, newer_vel + part * (older_vel - newer_vel)
 
     def measured(self, command: Array, last_action: Array) -> Measured:
         """Returns the measurements of the instant that the contract prescribes."""
         i, j = self._free_pos, self._free_vel
-        quat, ang_vel = self._seen_pos[i + 3 : i + 7], self._seen_vel[j + 3 : j + 6]
+        quat, ang_vel = self._sensed_pos[i + 3 : i + 7], self._sensed_vel[j + 3 : j + 6]
         if self._imu_quat is not None:
             true_quat, true_ang_vel, back = quat, ang_vel, np.zeros(4)
             quat, ang_vel = np.zeros(4), np.zeros(3)
@@ -215,15 +236,15 @@ class World:
         return Measured(
             root_quat_w=quat,
             root_ang_vel_b=ang_vel,  # MuJoCo keeps a free joint's rotation in its body's frame
-            joint_pos_rel=self._seen_pos[self._qpos] - self._default + self._bias,
-            joint_vel=self._seen_vel[self._qvel],
+            joint_pos_rel=self._sensed_pos[self._qpos] - self._default + self._bias,
+            joint_vel=self._sensed_vel[self._qvel],
             command=command,
             last_action=last_action,
         )
 
     @property
     def root_pos(self) -> Array:
-        """Position of the root [3], m, at the instant of the measurements."""
+        """Position of the root [3], m, one physics step of the contract ago, like all that is no measurement."""
         return self._seen_pos[self._free_pos : self._free_pos + 3]
 
     @property

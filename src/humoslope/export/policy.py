@@ -16,7 +16,7 @@ from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.quantities import CUSTOM, QUANTITIES
 from humoslope.deploy.unitree import deploy_yaml
-from humoslope.env import EnvCfg, ManagerBasedRlEnv
+from humoslope.env import EnvCfg, ManagerBasedRlEnv, SimCfg
 from humoslope.errors import UserError, unknown
 from humoslope.evaluation.common import rollout
 from humoslope.export.onnx import OUTPUT, largest_difference, network_inputs, translate
@@ -144,7 +144,7 @@ def make_contract(
         timing=contracts.Timing(
             control_step_s=env.step_dt,
             physics_step_s=sim.timestep,
-            observation_age_s=sim.observation_age_s or sim.timestep,
+            observation_age_s=_observation_age(actor, trained, sim),
         ),
         action=contracts.Action(
             target="default_rad + action_scale_rad * output",
@@ -198,6 +198,24 @@ def _check_imu(env: ManagerBasedRlEnv) -> None:
         )
 
 
+def _observation_age(actor: Actor, trained: EnvCfg, sim: SimCfg) -> float:
+    """Age of all that the policy sees of the robot, s.
+
+    Raises:
+        UserError: If some of it has another age, because a contract has one for all.
+    """
+    ages: dict[str, float] = {}
+    for group in actor.spec.groups:
+        for name, term in getattr(trained.observations, group).terms.items():
+            if "measured" in inspect.signature(term.func).parameters:
+                age = sim.observation_age_s if term.params.get("measured") else None
+                ages[f"{group}.{name}"] = age or sim.timestep
+    if len(set(ages.values())) > 1:
+        listed = ", ".join(f"{name} {1e3 * age:g} ms" for name, age in ages.items())
+        raise UserError(f"a contract has one age for all that is seen, but here they differ: {listed}.")
+    return next(iter(ages.values()), sim.timestep)
+
+
 def _group(name: str, cfg: ObservationGroupCfg, env: ManagerBasedRlEnv) -> contracts.ObservationGroup:
     return contracts.ObservationGroup(
         name=name,
@@ -223,8 +241,9 @@ def _term(where: str, name: str, cfg: ObservationTermCfg, env: ManagerBasedRlEnv
         return contracts.Term(meaning=meaning, frame="", unit=(), components=(), shape=tuple(value.shape[1:]), **common)
     if quantity not in QUANTITIES:
         raise UserError(f"observation '{where}': {unknown('quantity', quantity, (*QUANTITIES, CUSTOM))}")
-    if cfg.params:
-        raise UserError(f"observation '{where}': a contract cannot carry its parameters ({', '.join(cfg.params)}).")
+    # `measured` is carried, as the age of what is seen.
+    if others := [name for name in cfg.params if name != "measured"]:
+        raise UserError(f"observation '{where}': a contract cannot carry its parameters ({', '.join(others)}).")
     known = QUANTITIES[quantity]
     components = known.components or env.robot.joint_names
     return contracts.Term(
