@@ -49,6 +49,8 @@ class World:
         grade: Grade of the ramp, rad; positive rises along x.
         cross: Slope across the course, rad; positive rises to the left.
         foot_bodies: Ids of the bodies that carry the foot geoms, one for each foot.
+        free_pos: Index in `data.qpos` at which the pose of the root begins.
+        free_vel: Index in `data.qvel` at which the velocity of the root begins.
 
     Args:
         folder: The export folder.
@@ -110,7 +112,7 @@ class World:
         self.data = mujoco.MjData(self.model)
         free = self.model.joint(self.model.body(contract.robot.root_body).jntadr[0])
         joints = [self.model.joint(joint.name) for joint in contract.joints]
-        self._free_pos, self._free_vel = int(free.qposadr[0]), int(free.dofadr[0])
+        self.free_pos, self.free_vel = int(free.qposadr[0]), int(free.dofadr[0])
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
         self._default = np.array([joint.default_rad for joint in contract.joints])
@@ -156,12 +158,12 @@ class World:
         mujoco.mj_resetData(model, data)
         height = self._contract.robot.default_root_height_m + self.ground(x, y) + CLEARANCE
         pose = [x, y, height, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)]
-        data.qpos[self._free_pos : self._free_pos + 7] = pose
+        data.qpos[self.free_pos : self.free_pos + 7] = pose
         low, high = np.array([joint.range_rad for joint in self._contract.joints]).T
         data.qpos[self._qpos] = np.clip(self._default + joints, low, high)
         mujoco.mj_forward(model, data)
         if self._place_on_feet:
-            data.qpos[self._free_pos + 2] += CLEARANCE - self._clearance()
+            data.qpos[self.free_pos + 2] += CLEARANCE - self._clearance()
             mujoco.mj_forward(model, data)
         data.ctrl[:] = self._default - self._bias
         self._steps_done = 0
@@ -192,12 +194,16 @@ class World:
 
     def push(self, velocity_w: Array) -> None:
         """Adds a velocity [3], m/s, to the whole robot."""
-        self.data.qvel[self._free_vel : self._free_vel + 3] += velocity_w
+        self.data.qvel[self.free_vel : self.free_vel + 3] += velocity_w
 
     def _take_state(self) -> None:
         """Takes the present state for that of all times before."""
         self._past: deque[State] = deque([self._state()] * self._kept, self._kept)  # the newest first
         self._look()
+
+    def look_now(self) -> None:
+        """Makes the present state the one that is seen."""
+        self._seen_pos, self._seen_vel = self._sensed_pos, self._sensed_vel = self._state()
 
     def _state(self) -> State:
         return self.data.qpos.copy(), self.data.qvel.copy()
@@ -225,7 +231,7 @@ class World:
 
     def measured(self, command: Array, last_action: Array) -> Measured:
         """Returns the measurements of the instant that the contract prescribes."""
-        i, j = self._free_pos, self._free_vel
+        i, j = self.free_pos, self.free_vel
         quat, ang_vel = self._sensed_pos[i + 3 : i + 7], self._sensed_vel[j + 3 : j + 6]
         if self._imu_quat is not None:
             true_quat, true_ang_vel, back = quat, ang_vel, np.zeros(4)
@@ -245,12 +251,12 @@ class World:
     @property
     def root_pos(self) -> Array:
         """Position of the root [3], m, one physics step of the contract ago, like all that is no measurement."""
-        return self._seen_pos[self._free_pos : self._free_pos + 3]
+        return self._seen_pos[self.free_pos : self.free_pos + 3]
 
     @property
     def yaw(self) -> float:
         """Heading of the root, rad."""
-        w, x, y, z = self._seen_pos[self._free_pos + 3 : self._free_pos + 7]
+        w, x, y, z = self._seen_pos[self.free_pos + 3 : self.free_pos + 7]
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     def ground(self, x: float, y: float = 0.0) -> float:
@@ -263,6 +269,10 @@ class World:
 
     def feet_down(self) -> NDArray[np.bool_]:
         """Returns for each of `foot_bodies` whether the ground carries it, [F]."""
+        return self.foot_forces() >= FOOT_DOWN_N
+
+    def foot_forces(self) -> Array:
+        """Returns the normal force of the ground on each of `foot_bodies`, [F] N."""
         force, wrench = np.zeros(len(self.foot_bodies)), np.zeros(6)
         for i, contact in enumerate(self.data.contact):
             for geom in contact.geom:
@@ -270,7 +280,7 @@ class World:
                 if foot is not None:
                     mujoco.mj_contactForce(self.model, self.data, i, wrench)
                     force[foot] += wrench[0]
-        return force >= FOOT_DOWN_N
+        return force
 
     def fallen(self) -> bool:
         """Returns whether the robot has fallen as the contract defines it, or the physics has diverged."""
@@ -279,7 +289,7 @@ class World:
         if any(warnings[kind].number for kind in (*bad, mujoco.mjtWarning.mjWARN_BADCTRL)):
             return True
         x, y, z = self.root_pos
-        _, qx, qy, _ = self._seen_pos[self._free_pos + 3 : self._free_pos + 7]
+        _, qx, qy, _ = self._seen_pos[self.free_pos + 3 : self.free_pos + 7]
         upright = 1.0 - 2.0 * (qx * qx + qy * qy)
         too_low = fall.root_height_below_m is not None and z - self.ground(x, y) < fall.root_height_below_m
         tilted = fall.tilt_above_deg is not None and upright < math.cos(math.radians(fall.tilt_above_deg))
