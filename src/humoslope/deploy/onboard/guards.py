@@ -50,15 +50,6 @@ def tilt_deg(quat_w: Array) -> float:
     return math.degrees(math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * float(x * x + y * y)))))
 
 
-def broken(reading: Reading) -> str | None:
-    """Says what makes a message unusable."""
-    if not np.isfinite(reading.numbers).all():
-        return "the robot sent a number that is not finite"
-    if abs(float(np.linalg.norm(reading.quat_w)) - 1.0) > 0.01:
-        return "the robot sent an orientation that is none"
-    return None
-
-
 def unfit_to_start(reading: Reading, contract: Contract, limits: Limits, mode_machine: int) -> str | None:
     """Says why the robot must not be moved from where it is."""
     if (said := unfit(reading, contract, limits)) is not None:
@@ -89,8 +80,8 @@ def unfit(reading: Reading, contract: Contract, limits: Limits, tilt: bool = Fal
         limits: The limits.
         tilt: Whether the robot is to be upright by now.
     """
-    if (said := broken(reading)) is not None:
-        return said
+    if not reading.usable:
+        return "the robot sent numbers that cannot be"
     worst = int(np.argmax(reading.temperature))
     if reading.temperature[worst] > limits.hottest_c:
         return (

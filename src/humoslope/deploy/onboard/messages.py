@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -56,11 +57,11 @@ class Reading:
     remote: Remote
 
     @property
-    def numbers(self) -> Array:
-        """All measured numbers, for a check that they are finite."""
-        return np.concatenate(
-            [self.quat_w, self.ang_vel_b, self.joint_pos, self.joint_vel, self.torque, self.temperature]
-        )
+    def usable(self) -> bool:
+        """False if a number is not finite, or the orientation is none."""
+        numbers = (self.quat_w, self.ang_vel_b, self.joint_pos, self.joint_vel, self.torque, self.temperature)
+        finite = all(bool(np.isfinite(values).all()) for values in numbers)
+        return finite and abs(float(np.linalg.norm(self.quat_w)) - 1.0) <= 0.01
 
 
 @dataclass(frozen=True)
@@ -78,11 +79,45 @@ class Command:
     damping: Array
 
 
+class Inbox:
+    """The usable messages of the last moments.
+
+    Attributes:
+        refused: Number of messages that were not usable.
+
+    Args:
+        span_s: Time for which messages are kept, s.
+    """
+
+    def __init__(self, span_s: float = 0.5) -> None:
+        self._span_s = span_s
+        self._messages: deque[tuple[float, Reading]] = deque()
+        self.refused = 0
+
+    def add(self, now: float, reading: Reading) -> None:
+        """Takes a message that came at time `now`, s."""
+        if not reading.usable:
+            self.refused += 1
+            return
+        self._messages.append((now, reading))
+        while self._messages[0][0] < now - self._span_s:
+            self._messages.popleft()
+
+    def read(self, now: float, age_s: float) -> Reading | None:
+        """See `Link.read`."""
+        messages = list(self._messages)  # another thread may add to them
+        for came, reading in reversed(messages):
+            if came <= now - age_s + 1e-6:
+                return reading
+        return messages[0][1] if messages else None
+
+
 class Link(Protocol):
     """A connection to one robot. What was written last is repeated to the robot until something else is written."""
 
-    def read(self) -> Reading | None:
-        """Returns the newest message, or None before the first one."""
+    def read(self, age_s: float = 0.0) -> Reading | None:
+        """Returns the newest message that came at least `age_s` ago, else the oldest that is kept; None before the
+        first one."""
 
     def write(self, command: Command) -> None:
         """Sends a command from now on."""

@@ -88,6 +88,7 @@ class Session:
 
     Attributes:
         state: State of the machine.
+        sending: True once the motors have been commanded.
         hindrance: Why the robot is not moved from where it is; None if nothing speaks against it.
         ticks: What happened so far.
         gate: The way to the motors.
@@ -102,6 +103,8 @@ class Session:
         limits: The guards' limits.
         mode_machine: Code of the build that the model is of.
         hold_heading: Hold the heading while no turn is commanded.
+        latency_s: Time from a message of the robot until the command that answers it at once acts, s. The policy sees
+            messages that are older by what is left to the age it was trained with.
         dry_run: Read and compute, and send nothing; the states then follow the requests alone.
         say: Called with each change of state, in words.
     """
@@ -116,6 +119,7 @@ class Session:
         limits: Limits | None = None,
         mode_machine: int = MODE_MACHINE,
         hold_heading: bool = False,
+        latency_s: float = 0.0,
         dry_run: bool = False,
         say: Callable[[str], object] = lambda text: None,
     ) -> None:
@@ -124,9 +128,10 @@ class Session:
         self.pilot, self._mode_machine, self._say = pilot, mode_machine, say
         self._heading = Heading(contract.commands.steering) if hold_heading else None
         self.gate = Gate(link, contract, self._limits, dry_run)
-        self.state = State(since=clock())
+        self.state, self.sending = State(since=clock()), False
         self.hindrance: str | None = "the robot has not been heard of"
         self.ticks = Ticks()
+        self._wait_s = max(0.0, contract.timing.observation_age_s - latency_s)
         self._begun = clock()
         self._heard: float | None = None  # time of the newest message
         self._count = -1
@@ -161,16 +166,18 @@ class Session:
         self._enter(states.advance(self.state, seen))
         if self._last is None or self.state.mode is Mode.WAIT or (waited and self.over):
             return
+        self.sending = True
         if self.over:
             self.gate.close(self.state.reason)
             self._record(now, self._last, np.zeros(3), states.damping(self.contract))
             return
-        asked = self.pilot.command(remote)
+        asked, seen_now = self.pilot.command(remote), self._last
         walking = None
         if self.state.mode is Mode.WALK:
             if self._heading is not None:
                 asked = self._heading(asked, self._last.quat_w)
-            walking = self._controller(guards.measured(self._last, self.contract, asked, self._controller.last_action))
+            seen_now = self._link.read(self._wait_s) or self._last
+            walking = self._controller(guards.measured(seen_now, self.contract, asked, self._controller.last_action))
         else:
             asked = np.zeros(3)
         command = states.command(self.state, now, self.contract, walking)
@@ -178,24 +185,23 @@ class Session:
         sent = self.gate.send(command, self._last.joint_pos)
         if self.gate.reason:
             self._enter(State(Mode.DAMPING, now, reason=self.gate.reason))
-        self._record(now, self._last, asked, sent)
+        self._record(now, seen_now, asked, sent)
 
     def watch(self) -> bool:
         """Damps the motors if the loop has missed its ticks; returns whether it has. To be called from elsewhere."""
         late = self._clock() - self._beat
         most = self._limits.missed_ticks * self.contract.timing.control_step_s
-        if late <= most or self.state.mode is Mode.WAIT or self.over:
+        if late <= most or not self.sending or self.over:
             return False
         self.gate.close(f"the control loop stood still for {late:.2f} s")
         return True
 
     def stop(self, reason: str) -> None:
-        """Damps the motors; at every exit, whatever led to it."""
-        if self.state.mode is not Mode.WAIT:
+        """Damps the motors; at every exit, whatever led to it. A robot that was never commanded is left alone."""
+        if self.sending:
             self.gate.close(reason)
         if not self.over:
-            waiting = self.state.mode is Mode.WAIT
-            self._enter(State(Mode.DAMPING, self._clock(), reason=f"{reason}{', nothing was sent' if waiting else ''}"))
+            self._enter(State(Mode.DAMPING, self._clock(), reason=reason))
 
     def _hindrance(self, now: float) -> str | None:
         if self._last is None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from humoslope.deploy.conditions import Conditions
 from humoslope.deploy.contract import Contract
-from humoslope.deploy.onboard.messages import Command, Reading, Remote
+from humoslope.deploy.onboard.messages import Command, Inbox, Reading, Remote
 from humoslope.deploy.onboard.unitree_g1 import MODE_MACHINE
 from humoslope.deploy.quantities import Array
 from humoslope.deploy.world import World
@@ -310,7 +310,7 @@ class InProcessLink:
 
     def __init__(self, robot: SimulatedRobot, on_step: Callable[[SimulatedRobot], object] = lambda robot: None) -> None:
         self.robot, self._on_step = robot, on_step
-        self._newest: Reading | None = None
+        self._inbox = Inbox()
         self.others = False
 
     def clock(self) -> float:
@@ -322,11 +322,12 @@ class InProcessLink:
         for _ in range(round(seconds / float(self.robot.world.model.opt.timestep))):
             self.robot.step()
             self._on_step(self.robot)
-            self._newest = self.robot.say() or self._newest
+            if (reading := self.robot.say()) is not None:
+                self._inbox.add(self.clock(), reading)
 
-    def read(self) -> Reading | None:
+    def read(self, age_s: float = 0.0) -> Reading | None:
         """See `Link`."""
-        return self._newest
+        return self._inbox.read(self.clock(), age_s)
 
     def write(self, command: Command) -> None:
         """See `Link`."""
