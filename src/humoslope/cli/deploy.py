@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -28,6 +27,7 @@ from humoslope.deploy.onboard.guardian import Guardian
 from humoslope.deploy.onboard.guards import Limits
 from humoslope.deploy.onboard.keyboard import keyboard
 from humoslope.deploy.onboard.log import to_rollout
+from humoslope.deploy.onboard.pace import Pace, pace_on
 from humoslope.deploy.onboard.pilot import Pilot
 from humoslope.deploy.onboard.session import Session
 from humoslope.deploy.onboard.states import Mode
@@ -58,6 +58,7 @@ class Options:
         mode_machine: Code of the robot's build that the model is of.
         latency_ms: Time from a message of the robot until the command that answers it at once acts, ms.
         limits: Limits beyond which the motors are damped.
+        slower: Let time pass so many times slower; for simulated robots on a machine that cannot keep up.
         tag: Hear only participants with this tag; for simulated robots.
     """
 
@@ -71,6 +72,7 @@ class Options:
     mode_machine: int = MODE_MACHINE
     latency_ms: float = 4.0
     limits: Annotated[Limits, tyro.conf.arg(name="limit")] = dataclasses.field(default_factory=Limits)
+    slower: float = 1.0
     tag: str = ""
 
     def __post_init__(self) -> None:
@@ -84,20 +86,21 @@ def run(arguments: list[str]) -> None:
     options = tyro.cli(Options, args=arguments, prog="humoslope deploy")
     out = options.out or Path(f"walk-{datetime.now():%Y-%m-%d-%H%M%S}.npz")
     check_place(out)
+    pace = pace_on(options.interface, options.slower)
     contract = contracts.read(options.folder)
     motor_of_joint(contract)
     controller = Controller(contract, OnnxPolicy(options.folder, contract.network))
     _check_speed(options.speed, contract)
     sdk_on_stderr()
-    link = UnitreeLink(contract, options.interface, options.tag)
-    guardian = None if options.dry_run else Guardian(options.folder, options.interface, options.tag)
+    link = UnitreeLink(contract, options.interface, options.tag, pace)
+    guardian = None if options.dry_run else Guardian(options.folder, options.interface, options.tag, pace)
     console = Console()
-    say = _Sayer(console)
+    say = _Sayer(console, pace)
     session = Session(
         contract,
         controller,
         link,
-        time.monotonic,
+        pace.now,
         Pilot(contract.commands, options.speed),
         options.limits,
         options.mode_machine,
@@ -113,6 +116,7 @@ def run(arguments: list[str]) -> None:
             drive(
                 session,
                 stop,
+                pace,
                 keys.pressed,
                 guardian.beat if guardian else lambda: True,
                 options.seconds or float("inf"),
@@ -138,15 +142,15 @@ def sdk_on_stderr() -> None:
 class _Sayer:
     """Says each state, and from time to time what the robot waits for."""
 
-    def __init__(self, console: Console) -> None:
-        self._console, self._begun = console, time.monotonic()
+    def __init__(self, console: Console, pace: Pace) -> None:
+        self._console, self._clock, self._begun = console, pace.now, pace.now()
         self._said, self._before = "", 0.0
 
     def state(self, text: str) -> None:
         self._line(text)
 
     def hindrance(self, session: Session) -> None:
-        mode, now = session.state.mode, time.monotonic()
+        mode, now = session.state.mode, self._clock()
         if mode not in (Mode.WAIT, Mode.ZERO_TORQUE) or session.hindrance is None:
             return
         if session.hindrance != self._said and now - self._before > SAID_EVERY_S:
@@ -154,7 +158,7 @@ class _Sayer:
             self._line(f"not yet: {session.hindrance}")
 
     def _line(self, text: str) -> None:
-        self._console.print(f"{time.monotonic() - self._begun:7.2f} s  {text}", highlight=False, soft_wrap=True)
+        self._console.print(f"{self._clock() - self._begun:7.2f} s  {text}", highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -185,7 +189,7 @@ def _introduction(contract: Contract, options: Options) -> str:
     return (
         f"[bold]{training.task}[/bold], iteration {training.iteration}, on {options.interface}\n{dry}"
         f"{1.0 / timing.control_step_s:g} commands a second, observations {1e3 * timing.observation_age_s:g} ms old\n"
-        "[bold]Never tried on a real robot. Keep it on the gantry, and the remote's stop (select) in your hand.[/bold]\n"
+        "[bold]Never tried on a real robot. Keep the gantry on, and the remote (select stops) in your hand.[/bold]\n"
         f"remote: start, A to walk, select or L2+B to stop; keys: {pilot.KEYS}"
     )
 

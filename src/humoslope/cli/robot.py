@@ -14,6 +14,7 @@ from rich.console import Console
 
 from humoslope.cli.deploy import sdk_on_stderr, signals_set
 from humoslope.deploy import contract as contracts
+from humoslope.deploy.onboard.pace import Pace, pace_on
 from humoslope.deploy.onboard.person import Person
 from humoslope.deploy.onboard.simulated import Faults, SimulatedRobot
 from humoslope.deploy.onboard.unitree_link import PERIOD_S, UnitreeRobot
@@ -40,6 +41,7 @@ class Options:
             time, s, counts from the start; a word is a button, lower, release, or a stick and its deflection.
         seconds: Time to simulate, s; by default until it is interrupted.
         timestep: Physics step, s; the contract's by default.
+        slower: Let time pass so many times slower, as `humoslope deploy` with the same option.
         faults: What is wrong with it.
         seed: Seed of noise and lost messages.
         out: JSON file for what happened, with the true place of the robot.
@@ -54,6 +56,7 @@ class Options:
     script: str = "1:start 5:lower 8:A 8:forward=0.6 8.5:release"
     seconds: float | None = None
     timestep: float | None = None
+    slower: float = 1.0
     faults: Annotated[Faults, tyro.conf.arg(name="fault")] = dataclasses.field(default_factory=Faults)
     seed: int = 0
     out: Path | None = None
@@ -71,7 +74,7 @@ def run(arguments: list[str]) -> None:
     if options.out is not None:
         check_place(options.out)
     contract = contracts.read(options.folder)
-    person = Person(options.script)
+    pace, person = pace_on(options.interface, options.slower), Person(options.script)
     robot = SimulatedRobot(
         options.folder,
         contract,
@@ -88,7 +91,7 @@ def run(arguments: list[str]) -> None:
     stop = threading.Event()
     happened = _Happened(robot, console)
     with signals_set(stop):
-        _live(robot, side, person, happened, options.seconds or float("inf"), stop)
+        _live(robot, side, person, happened, options.seconds or float("inf"), stop, pace)
     if options.out is not None:
         write_text(options.out, json.dumps(happened.result(), indent=1) + "\n")
 
@@ -100,11 +103,12 @@ def _live(
     happened: _Happened,
     seconds: float,
     stop: threading.Event,
+    pace: Pace,
 ) -> None:
     """Steps the robot in real time. Every 2 ms it hears, and says how it is."""
-    dt, begun, spoken = float(robot.world.model.opt.timestep), time.monotonic(), 0
+    dt, begun, spoken = float(robot.world.model.opt.timestep), pace.now(), 0
     while not stop.is_set() and robot.time < seconds:
-        now = time.monotonic() - begun
+        now = pace.now() - begun
         if (command := side.hear()) is not None:
             robot.receive(command)
             happened.look(time.time())
@@ -122,7 +126,7 @@ def _live(
             if spoken % 5 == 0:
                 side.press(robot.remote)
         happened.look(time.time())
-        stop.wait(max(0.0, spoken * PERIOD_S - (time.monotonic() - begun)))
+        stop.wait(pace.real(max(0.0, spoken * PERIOD_S - (pace.now() - begun))))
 
 
 class _Happened:

@@ -7,8 +7,10 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 
+from humoslope.deploy.onboard.pace import Pace
 from humoslope.deploy.onboard.session import Session
 
+REAL_TIME = Pace()
 DAMPED_S = 0.5
 """Time for which damping is repeated at the end, s; the robot keeps the last command."""
 
@@ -16,6 +18,7 @@ DAMPED_S = 0.5
 def drive(
     session: Session,
     stop: threading.Event,
+    pace: Pace = REAL_TIME,
     keys: Callable[[], Iterable[str]] = lambda: (),
     beat: Callable[[], bool] = lambda: True,
     seconds: float = float("inf"),
@@ -24,8 +27,9 @@ def drive(
     """Runs a session until it is over, and damps the motors whatever ends it.
 
     Args:
-        session: The session, whose clock is `time.monotonic`.
+        session: The session, whose clock is that of `pace`.
         stop: Set from elsewhere, such as a signal handler, to end it.
+        pace: The clock.
         keys: Returns the keys pressed since the last call.
         beat: Called every control step; returns whether whoever guards this process is there.
         seconds: Longest time, s.
@@ -35,7 +39,7 @@ def drive(
     ended = threading.Event()
 
     def watch() -> None:
-        while not ended.wait(0.5 * dt):
+        while not ended.wait(pace.real(0.5 * dt)):
             session.watch()
 
     watchdog = threading.Thread(target=watch, daemon=True, name="watchdog")
@@ -44,7 +48,7 @@ def drive(
     gc.freeze()  # a collection of everything that was loaded takes as long as a control step
     try:
         watchdog.start()
-        begun = due = time.monotonic()
+        begun = due = pace.now()
         while not session.over:
             if stop.is_set():
                 reason = "the program was asked to end"
@@ -60,19 +64,19 @@ def drive(
             session.tick()
             report()
             due += dt
-            if (late := time.monotonic() - due) > dt:
+            if (late := pace.now() - due) > dt:
                 due += late  # missed steps are not made up for
-            stop.wait(max(0.0, due - time.monotonic()))
+            stop.wait(pace.real(max(0.0, due - pace.now())))
     except KeyboardInterrupt:
         reason = "the program was interrupted"
         raise
     finally:
-        _damp(session, reason)
+        _damp(session, reason, beat)
         ended.set()
         gc.unfreeze()
 
 
-def _damp(session: Session, reason: str) -> None:
+def _damp(session: Session, reason: str, beat: Callable[[], bool]) -> None:
     """Repeats damping for a while. A second signal does not end this."""
     end = time.monotonic() + DAMPED_S
     while True:
@@ -80,6 +84,7 @@ def _damp(session: Session, reason: str) -> None:
             session.stop(reason)
             while session.sending and time.monotonic() < end:
                 session.gate.close(reason)
+                beat()
                 time.sleep(0.02)
         except KeyboardInterrupt:
             continue

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.onboard import states
+from humoslope.deploy.onboard.pace import Pace
 from humoslope.deploy.onboard.unitree_link import UnitreeLink
 from humoslope.errors import UserError
 
@@ -36,13 +37,14 @@ class Guardian:
         folder: The export folder.
         interface: Name of the network interface.
         tag: See `unitree_link.open_interface`.
+        pace: The clock.
 
     Raises:
         UserError: If the guardian does not start.
     """
 
-    def __init__(self, folder: Path, interface: str, tag: str) -> None:
-        arguments = [str(folder), interface, tag, str(os.getpid())]
+    def __init__(self, folder: Path, interface: str, tag: str, pace: Pace) -> None:
+        arguments = [str(folder), interface, tag, str(os.getpid()), str(pace.real(PATIENCE_S))]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "humoslope.deploy.onboard.guardian", *arguments],
             stdin=subprocess.PIPE,
@@ -74,8 +76,8 @@ class Guardian:
         return self._process.poll() is None
 
 
-def guard(folder: Path, interface: str, tag: str, ward: int) -> None:
-    """Waits for the bytes of the ward, a process id; damps the robot when they stop."""
+def guard(folder: Path, interface: str, tag: str, ward: int, patience_s: float) -> None:
+    """Waits for the bytes of the ward, a process id; damps the robot when they stop for `patience_s`."""
     contract = contracts.read(folder)
     out = os.dup(1)
     os.dup2(2, 1)  # the SDK writes to the standard output
@@ -84,7 +86,7 @@ def guard(folder: Path, interface: str, tag: str, ward: int) -> None:
     if os.read(0, 1) in (b"", FAREWELL):
         return  # its ward ended before it began
     while True:
-        heard, _, _ = select.select([0], [], [], PATIENCE_S)
+        heard, _, _ = select.select([0], [], [], patience_s)
         byte = os.read(0, 64) if heard else b""
         if FAREWELL in byte:
             return
@@ -102,5 +104,5 @@ def guard(folder: Path, interface: str, tag: str, ward: int) -> None:
 if __name__ == "__main__":
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    guard(Path(sys.argv[1]), sys.argv[2], sys.argv[3], int(sys.argv[4]))
+    guard(Path(sys.argv[1]), sys.argv[2], sys.argv[3], int(sys.argv[4]), float(sys.argv[5]))
     os._exit(0)  # the SDK's threads need no farewell

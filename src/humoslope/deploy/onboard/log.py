@@ -140,8 +140,7 @@ def to_rollout(folder: Path, contract: Contract, ticks: Ticks, label: str) -> tu
     joints = np.array([reading.joint_pos for reading in readings])
     quat = _facing_x(np.array([reading.quat_w for reading in readings]))
     kinematics = Kinematics(folder, contract)
-    com, loads = np.zeros((rows, 3)), np.zeros((rows, 2, 3))
-    root, soles = np.zeros((rows, 3)), np.zeros((rows, 2, 3))
+    com, root, loads, soles = (np.zeros((rows, *shape)) for shape in ((3,), (3,), (2, 3), (2, 3)))
     reckoning = _Reckoning(kinematics)
     for row in range(rows):
         kinematics.pose(quat[row], joints[row])
@@ -159,7 +158,7 @@ def to_rollout(folder: Path, contract: Contract, ticks: Ticks, label: str) -> tu
     )
     rise = ground.rise(root[:, 0])
     slope, bank = np.arctan(rise * np.cos(yaw)), np.arctan(-rise * np.sin(yaw))
-    velocity = np.gradient(root, dt, axis=0)
+    velocity: Array = np.asarray(np.gradient(root, dt, axis=0))
     ahead = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
     left = -velocity[:, 0] * np.sin(yaw) + velocity[:, 1] * np.cos(yaw)
     along = np.stack(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
-from humoslope.deploy.onboard.messages import Remote
 from humoslope.deploy.onboard.simulated import SimulatedRobot
 from humoslope.deploy.onboard.unitree_g1 import BUTTONS
 from humoslope.errors import UserError, unknown
@@ -40,7 +40,8 @@ class Person:
             elif what == "release":
                 robot.release()
             elif what in STICKS:
-                remote = dataclasses.replace(remote, **{what: value})
+                moved: dict[str, Any] = {what: value}
+                remote = dataclasses.replace(remote, **moved)
             else:
                 self._pressed.append((robot.time + PRESSED_S, what))
         self._pressed = [(until, what) for until, what in self._pressed if robot.time < until]

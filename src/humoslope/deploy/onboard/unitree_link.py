@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 from collections import deque
 from importlib import import_module
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.onboard.messages import Command, Inbox, Reading, Remote
+from humoslope.deploy.onboard.pace import LOOPBACK, Pace
 from humoslope.deploy.onboard.unitree_g1 import MOTORS, bits, motor_of_joint, pressed
 from humoslope.deploy.quantities import Array
 from humoslope.errors import UserError
@@ -23,6 +23,7 @@ from humoslope.errors import UserError
 INSTALL = "pip install 'humoslope[robot]'"
 PERIOD_S = 0.002
 """Period of the messages in both directions, s."""
+REAL_TIME = Pace()
 KNOWN_COMMANDS = 16
 """Number of own commands that may still be under way."""
 
@@ -69,13 +70,14 @@ class UnitreeLink:
         contract: The contract, for the order of joints.
         interface: Name of the network interface.
         tag: See `open_interface`.
+        pace: The clock.
 
     Raises:
         UserError: See `open_interface`; or the policy is for another robot.
     """
 
-    def __init__(self, contract: Contract, interface: str, tag: str = "") -> None:
-        self._motors = np.array(motor_of_joint(contract))
+    def __init__(self, contract: Contract, interface: str, tag: str = "", pace: Pace = REAL_TIME) -> None:
+        self._pace, self._motors = pace, np.array(motor_of_joint(contract))
         self._robot = open_interface(interface, tag)
         self._sdk = import_module("unitree_interface")
         self.inbox = Inbox()
@@ -88,7 +90,7 @@ class UnitreeLink:
 
     def read(self, age_s: float = 0.0) -> Reading | None:
         """See `Link`."""
-        return self.inbox.read(time.monotonic(), age_s)
+        return self.inbox.read(self._pace.now(), age_s)
 
     def write(self, command: Command) -> None:
         """See `Link`."""
@@ -117,10 +119,10 @@ class UnitreeLink:
         return ordered.tolist()
 
     def _listen(self) -> None:
-        while not self._ended.wait(PERIOD_S):
+        while not self._ended.wait(self._pace.real(PERIOD_S)):
             reading = self._look()
             if reading is not None:
-                self.inbox.add(time.monotonic(), reading)
+                self.inbox.add(self._pace.now(), reading)
 
     def _look(self) -> Reading | None:
         """Returns the newest message if it is another than the one before."""
@@ -158,8 +160,10 @@ class UnitreeRobot:
     """
 
     def __init__(self, contract: Contract, interface: str, tag: str) -> None:
-        if interface != "lo":
-            raise UserError(f"a simulated robot speaks on the loopback interface 'lo' only, not on '{interface}'.")
+        if interface != LOOPBACK:
+            raise UserError(
+                f"a simulated robot speaks on the loopback interface '{LOOPBACK}' only, not on '{interface}'."
+            )
         self._motors = np.array(motor_of_joint(contract))
         self._robot = open_interface(interface, tag)
         self._sdk = import_module("unitree_interface")
