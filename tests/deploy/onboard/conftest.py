@@ -1,0 +1,76 @@
+"""A session with a simulated robot in the same process, on simulated time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from humoslope.deploy.contract import Contract
+from humoslope.deploy.controller import Controller, OnnxPolicy
+from humoslope.deploy.onboard.person import Person
+from humoslope.deploy.onboard.pilot import Pilot
+from humoslope.deploy.onboard.session import Session
+from humoslope.deploy.onboard.simulated import Faults, InProcessLink, SimulatedRobot
+
+SCRIPT = "0.5:start 3.6:lower 5:A 5:forward=0.625 5.3:release"
+WALKS_AT = 5.0
+"""Time at which the person of the script lets the robot walk, s."""
+
+
+@dataclass
+class Stage:
+    """A robot, the link to it, and the session that moves it."""
+
+    robot: SimulatedRobot
+    link: InProcessLink
+    session: Session
+    said: list[tuple[float, str]]
+    damped_at: list[float] = field(default_factory=list)
+
+    def run(self, until: float) -> Stage:
+        """Ticks until a time; notes when the motors are first damped."""
+        while self.link.clock() < until - 1e-6:
+            self.session.tick()
+            self.link.run(0.02)
+        return self
+
+
+@pytest.fixture(scope="session")
+def stage(exported: Path, contract: Contract) -> Callable[..., Stage]:
+    """stage(script=..., grade=..., faults=..., **session): ready to run."""
+
+    def make(
+        script: str = SCRIPT,
+        grade: float = 0.0,
+        faults: Faults | None = None,
+        folder: Path = exported,
+        contract: Contract = contract,
+        **session: Any,
+    ) -> Stage:
+        robot = SimulatedRobot(folder, contract, grade, faults=faults or Faults())
+        person, damped = Person(script), []  # type: Person, list[float]
+
+        def beside(robot: SimulatedRobot) -> None:
+            person.act(robot)
+            if robot.damped and not damped:
+                damped.append(robot.time)
+
+        link = InProcessLink(robot, beside)
+        said: list[tuple[float, str]] = []
+        controller = Controller(contract, OnnxPolicy(folder, contract.network))
+        running = Session(
+            contract,
+            controller,
+            link,
+            link.clock,
+            Pilot(contract.commands),
+            say=lambda text: said.append((link.clock(), text)),
+            **session,
+        )
+        return Stage(robot, link, running, said, damped)
+
+    return make
