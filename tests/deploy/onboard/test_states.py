@@ -41,7 +41,9 @@ def test_states_follow_each_other_on_the_way_or_end_in_damping(happens: list[tup
             assert state.mode is Mode.DAMPING
 
 
-@given(poses, st.sampled_from([None, "leans"]), st.sampled_from([None, "silent"]), st.frozensets(st.sampled_from(Request)))
+@given(
+    poses, st.sampled_from([None, "leans"]), st.sampled_from([None, "silent"]), st.frozensets(st.sampled_from(Request))
+)
 def test_nothing_moves_a_robot_that_is_not_fit_to_start(
     pose: tuple[float, float] | None, hindrance: str | None, fault: str | None, requests: frozenset[Request]
 ) -> None:

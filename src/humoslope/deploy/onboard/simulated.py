@@ -114,7 +114,7 @@ class SimulatedRobot:
         cross: Slope across the course, degrees.
         friction: Coefficient of friction between feet and ground.
         faults: What is wrong with its messages.
-        hang: Let it hang on a gantry at first, limp.
+        lifted: Height at which it hangs on the gantry at first, above standing, m.
         seed: Seed of noise and lost messages.
         timestep_s: Physics step; the contract's by default.
         length: Length of a ramp, m.
@@ -128,7 +128,7 @@ class SimulatedRobot:
         cross: float = 0.0,
         friction: float = 1.0,
         faults: Faults = SOUND,
-        hang: bool = True,
+        lifted: float = LIFTED_M,
         seed: int = 0,
         timestep_s: float | None = None,
         length: float = 60.0,
@@ -141,18 +141,18 @@ class SimulatedRobot:
         model, joints = self.world.model, contract.joints
         self._dt = float(model.opt.timestep)
         self._limit = np.array([joint.effort_limit_nm for joint in joints])
+        self._positions = np.array([model.joint(joint.name).qposadr[0] for joint in joints])
         self._dofs = np.array([model.joint(joint.name).dofadr[0] for joint in joints])
         self._order, self._sign = _encoders(contract, faults)
         self._root = int(model.body(contract.robot.root_body).id)
         self._steps = 0
         self._waiting: deque[tuple[int, Command]] = deque()
         self._motors(Command(np.zeros(len(joints)), np.zeros(len(joints)), np.zeros(len(joints))))
-        self.commands, self.hung, self._lowering = 0, hang, False
+        self.commands, self.hung, self._lowering = 0, True, False
         self.remote = Remote()
         rest = self.world.data.qpos[self.world.free_pos : self.world.free_pos + 3].copy()
-        self._hook, self._standing = rest + np.array([0.0, 0.0, LIFTED_M * hang]), rest[2]
-        if hang:
-            self.world.data.qpos[self.world.free_pos + 2] += LIFTED_M
+        self._hook, self._standing = rest + np.array([0.0, 0.0, lifted]), rest[2]
+        self.world.data.qpos[self.world.free_pos + 2] += lifted
         mujoco.mj_forward(model, self.world.data)
         self._messages: deque[Reading] = deque(maxlen=1 + round(1.0 / self._dt))
         self._count = 0
@@ -270,12 +270,19 @@ class SimulatedRobot:
             ang_vel_b=seen.root_ang_vel_b.copy(),
             joint_pos=(self._sign * (seen.joint_pos_rel + default))[self._order],
             joint_vel=(self._sign * seen.joint_vel)[self._order],
-            torque=world.data.actuator_force.copy(),
+            torque=self._torque(),
             temperature=np.full(joints, self.faults.temperature_c),
             errors=errors,
             mode_machine=self.faults.mode_machine,
             remote=Remote(),
         )
+
+    def _torque(self) -> Array:
+        """What the motors give at present; MuJoCo has that of the step before."""
+        model, data = self.world.model, self.world.data
+        position, velocity = data.qpos[self._positions], data.qvel[self._dofs]
+        torque = model.actuator_gainprm[:, 0] * (data.ctrl - position) + model.actuator_biasprm[:, 2] * velocity
+        return np.clip(torque, -self._limit, self._limit)
 
     def _before(self, age_s: float) -> Reading:
         steps = min(round(age_s / self._dt), len(self._messages) - 1)
