@@ -210,6 +210,25 @@ def test_the_file_is_the_same_wherever_it_is_made(exported: Path) -> None:
     assert b".py" not in content
 
 
+def test_the_file_says_how_to_run_it_under_the_keys_of_mjlab(exported: Path) -> None:
+    contract = contracts.read(exported)
+    session = ort.InferenceSession(exported / "exported" / "policy.onnx", providers=["CPUExecutionProvider"])
+    told = session.get_modelmeta().custom_metadata_map
+
+    def numbers(key: str) -> list[float]:
+        return [float(text) for text in told[key].split(",")]
+
+    joints, (group,) = contract.joints, contract.observations
+    assert told["joint_names"].split(",") == [joint.name for joint in joints]
+    assert numbers("joint_stiffness") == [joint.stiffness_nm_rad for joint in joints]
+    assert numbers("joint_damping") == [joint.damping_nms_rad for joint in joints]
+    assert numbers("default_joint_pos") == [joint.default_rad for joint in joints]
+    assert numbers("action_scale") == [joint.action_scale_rad for joint in joints]
+    assert told["observation_names"].split(",") == [term.name for term in group.terms]
+    assert numbers("observation_history") == [group.history] * len(group.terms)
+    assert (told["command_names"], told["run_path"]) == ("velocity", "stage1.pt")
+
+
 # Several groups of any shape.
 
 ROWS = 7

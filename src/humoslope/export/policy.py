@@ -19,7 +19,7 @@ from humoslope.deploy.unitree import deploy_yaml
 from humoslope.env import EnvCfg, ManagerBasedRlEnv, SimCfg
 from humoslope.errors import UserError, unknown
 from humoslope.evaluation.common import rollout
-from humoslope.export.onnx import OUTPUT, largest_difference, network_inputs, translate
+from humoslope.export.onnx import OUTPUT, largest_difference, network_inputs, translate, with_metadata
 from humoslope.files import write_atomically, write_text
 from humoslope.learning.policy import Actor, Provenance
 from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms, VelocityCommandCfg
@@ -82,7 +82,7 @@ def export(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: 
     Raises:
         UserError: If the contract cannot describe what the policy needs, or the ONNX file acts differently from torch.
     """
-    content = translate(actor, observations)
+    content = with_metadata(translate(actor, observations), make_metadata(actor, env, trained))
     difference = largest_difference(content, actor, observations)
     if not difference <= TOLERANCE:
         raise UserError(
@@ -101,6 +101,35 @@ def export(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: 
         without = str(error)
     write_text(folder / contracts.FILE, contract.to_json())
     return Exported(contract, difference, len(observations), without)
+
+
+def make_metadata(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg) -> dict[str, str]:
+    """Returns what a program that knows no contract needs to run the network, under mjlab's keys; lists are separated
+    by commas.
+
+    `observation_history`, the control steps that each observation spans, is ours. mjlab writes three decimals, this
+    every digit.
+
+    Args:
+        actor: As in `export`.
+        env: As in `export`.
+        trained: As in `export`.
+    """
+    joints = _joints(env, trained.actions.scale_factor)
+    groups = [_group(name, getattr(trained.observations, name), env) for name in actor.spec.groups]
+    lists: dict[str, list[Any]] = {
+        "joint_names": [joint.name for joint in joints],
+        "joint_stiffness": [joint.stiffness_nm_rad for joint in joints],
+        "joint_damping": [joint.damping_nms_rad for joint in joints],
+        "default_joint_pos": [joint.default_rad for joint in joints],
+        "action_scale": [joint.action_scale_rad for joint in joints],
+        "command_names": ["velocity"],
+        "observation_names": [term.name for group in groups for term in group.terms],
+        "observation_history": [group.history for group in groups for _ in group.terms],
+    }
+    return {"run_path": actor.provenance.path.name} | {
+        name: ",".join(map(str, values)) for name, values in lists.items()
+    }
 
 
 def make_contract(
