@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humoslope.deploy.conditions import Conditions
@@ -180,6 +180,32 @@ def test_the_age_of_what_is_seen_does_not_depend_on_the_physics_step(
     assert world.root_pos[0] - start == pytest.approx(0.015, abs=2e-5)
     with pytest.raises(UserError, match="no whole number of physics steps of 0.003 s"):
         make_world(timestep_s=0.003)
+
+
+@pytest.mark.parametrize("steps", [20, 10, 7, 4, 2, 1])
+@settings(max_examples=8)
+@given(age=st.floats(0.005, 0.2))
+def test_measurements_are_as_old_as_the_contract_says(
+    exported: Path, contract: Contract, steps: int, age: float
+) -> None:
+    """Of a joint that moves at a constant speed, and a root that turns at one; at first they show the start."""
+    timing = replace(contract.timing, observation_age_s=age)
+    world = World(
+        exported, replace(contract, timing=timing), 0.0, 0.8, 20.0, conditions=Conditions(timestep_s=0.02 / steps)
+    )
+    world.model.opt.gravity[:] = 0.0
+    world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    world.data.qpos[2] += 10.0
+    world.data.qvel[5] = 1.0
+    mujoco.mj_forward(world.model, world.data)
+    world._take_state()
+    yaws = [world.yaw]
+    for step in range(1, 13):
+        world.step(world._default)
+        yaws.append(world.yaw)
+        w, _, _, z = seen(world).root_quat_w
+        np.testing.assert_allclose(2.0 * math.atan2(z, w), max(0.02 * step - age, 0.0), atol=1e-3)
+    np.testing.assert_allclose(yaws[1:], 0.02 * np.arange(1, 13) - 0.005, atol=1e-3)  # the course is not measured
 
 
 @pytest.mark.parametrize("cross", [20.0, -20.0])

@@ -16,14 +16,15 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from humoslope.deploy.contract import Contract, Steering
+from humoslope.deploy.contract import Contract, Steering, Timing
 from humoslope.deploy.player import Player, Summary, TouchdownCounter, Trial, TrialCfg, run_trials, steer, summarise
 from humoslope.deploy.world import RUN_UP
-from humoslope.env import ManagerBasedRlEnv
+from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.evaluation.ramps import run_trials as run_ramps
 from humoslope.evaluation.ramps import summarise as summarise_ramps
+from humoslope.export.policy import make_contract
 from humoslope.learning.policy import Actor, load_actor
 from humoslope.registry import build_task
 
@@ -77,6 +78,52 @@ def test_observations_and_motion_follow_the_training_environment_for_a_second(
             np.testing.assert_allclose(data.qpos, states[step][world], atol=1e-4)
             player.step(player.course_command())
             np.testing.assert_allclose(seen[-1], observations[step][world], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("timestep", "age"), [(0.002, 0.01), (0.005, 0.01), (0.01, 0.01), (0.005, 0.013), (0.005, 0.03)]
+)
+def test_actions_are_those_of_the_environment_whatever_the_age_of_what_is_seen(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+    stage1_checkpoint: Path,
+    make_player: Callable[..., Player],
+    contract: Contract,
+    timestep: float,
+    age: float,
+) -> None:
+    """From the same start and on the same ground, also with an age between two physics steps or above a control step.
+
+    Between two physics steps the environment interpolates the direction of gravity, the player the orientation.
+    """
+
+    def measure(cfg: EnvCfg) -> None:
+        walk = ramp_env_cfg(cfg, RampProtocol(grades=(0.0,), starts=1, timestep=timestep))
+        vars(cfg).update(vars(walk))
+        cfg.sim.backend, cfg.sim.device, cfg.sim.observation_age_s = "native", "cpu", age
+        for name, term in cfg.observations.actor.terms.items():
+            if name not in ("velocity_command", "last_action"):
+                term.params["measured"] = True
+
+    env = make_stage1(1, measure)
+    actor = load_actor(stage1_checkpoint, env)
+    made = make_contract(actor, env, env.cfg, env.get_observations(), b"network", "<mujoco/>")
+    assert made.timing == Timing(0.02, timestep, age)
+    player = make_player(replace(contract, timing=made.timing))
+    player.start()
+    data, (qpos,) = player.world.data, env.sim.state("qpos").numpy()
+    data.qpos[:] = qpos
+    data.qpos[:2] -= env.tiles.origin_w[0, :2].numpy()
+    data.qpos[0] -= env.tiles.spawn_x
+    mujoco.mj_forward(player.world.model, data)
+    player.world._take_state()
+    largest = 0.0
+    for _ in range(25):
+        action = actor(env.get_observations())
+        env.step(action)
+        player.step(player.course_command())
+        np.testing.assert_allclose(player.controller.last_action, action[0].numpy(), atol=1e-5)
+        largest = max(largest, float(action.abs().max()))
+    assert largest > 0.5
 
 
 class Keep:

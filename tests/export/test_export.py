@@ -120,6 +120,25 @@ def test_overrides_of_a_task_reach_the_contract(described: Callable[[Change], Co
     assert contract.fall == contracts.Fall(0.4, None)
 
 
+def measure(*names: str) -> Change:
+    """A change after which these observations are 12 ms old, and the others one physics step."""
+
+    def change(cfg: EnvCfg) -> None:
+        cfg.sim.observation_age_s = 0.012
+        for name in names:
+            getattr(cfg.observations.actor.terms, name).params = {"measured": True}
+
+    return change
+
+
+def test_the_contract_says_how_old_what_is_seen_is(described: Callable[[Change], Contract]) -> None:
+    assert described(measure()).timing.observation_age_s == 0.005  # no observation is measured
+    own = ("base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel")
+    assert described(measure(*own)).timing.observation_age_s == 0.012
+    with pytest.raises(UserError, match=r"they differ: actor.base_ang_vel 5 ms, actor.projected_gravity 12 ms, "):
+        described(measure("projected_gravity", "joint_pos_rel", "joint_vel"))
+
+
 def undescribed(env: Any) -> Tensor:
     return env.signals.joint_pos
 
@@ -159,7 +178,7 @@ def test_every_registered_task_has_an_actor_that_can_be_described() -> None:
         cfg = build_task(name).env
         for term in vars(cfg.observations.actor.terms).values():
             assert term.func.measured_quantity in QUANTITIES
-            assert not term.params
+            assert set(term.params) <= {"measured"}
 
 
 def test_a_robot_whose_gyroscope_is_turned_is_not_exported(env: ManagerBasedRlEnv, monkeypatch: Any) -> None:
@@ -189,6 +208,25 @@ def test_the_file_is_the_same_wherever_it_is_made(exported: Path) -> None:
     assert not any(node.metadata_props for node in model.graph.node)
     assert b"humoslope" not in content
     assert b".py" not in content
+
+
+def test_the_file_says_how_to_run_it_under_the_keys_of_mjlab(exported: Path) -> None:
+    contract = contracts.read(exported)
+    session = ort.InferenceSession(exported / "exported" / "policy.onnx", providers=["CPUExecutionProvider"])
+    told = session.get_modelmeta().custom_metadata_map
+
+    def numbers(key: str) -> list[float]:
+        return [float(text) for text in told[key].split(",")]
+
+    joints, (group,) = contract.joints, contract.observations
+    assert told["joint_names"].split(",") == [joint.name for joint in joints]
+    assert numbers("joint_stiffness") == [joint.stiffness_nm_rad for joint in joints]
+    assert numbers("joint_damping") == [joint.damping_nms_rad for joint in joints]
+    assert numbers("default_joint_pos") == [joint.default_rad for joint in joints]
+    assert numbers("action_scale") == [joint.action_scale_rad for joint in joints]
+    assert told["observation_names"].split(",") == [term.name for term in group.terms]
+    assert numbers("observation_history") == [group.history] * len(group.terms)
+    assert (told["command_names"], told["run_path"]) == ("velocity", "stage1.pt")
 
 
 # Several groups of any shape.

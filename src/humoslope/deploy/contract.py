@@ -25,6 +25,8 @@ VERSION = 2
 """Increased when the meaning of anything that an older reader uses changes."""
 LONGEST_STEP_S = 1.0
 """Longest control step that is taken for one, s."""
+LONGEST_AGE_S = 0.2
+"""Longest age of an observation that is taken for one, s; no robot that walks is controlled so late."""
 
 Range = tuple[float, float]
 
@@ -125,7 +127,8 @@ class Timing:
     Attributes:
         control_step_s: Period at which the network runs; its targets are held in between.
         physics_step_s: Physics step of the evaluation.
-        observation_age_s: Age of an observation at the moment its action takes effect.
+        observation_age_s: Age of what encoders and IMU say at the moment when the action that answers it takes effect;
+            at least one physics step.
     """
 
     control_step_s: float
@@ -380,8 +383,11 @@ def _check(contract: Contract) -> None:
         raise UserError(f"timing: control_step_s {timing.control_step_s:g} must be at most {LONGEST_STEP_S:g}.")
     if abs(contract.decimation * timing.physics_step_s - timing.control_step_s) > 1e-9:
         raise UserError("timing: the control step must be a whole number of physics steps.")
-    if abs(timing.observation_age_s - timing.physics_step_s) > 1e-9:
-        raise UserError("timing: this program observes one physics step before it acts; observation_age_s is another.")
+    if not timing.physics_step_s - 1e-9 <= timing.observation_age_s <= LONGEST_AGE_S:
+        raise UserError(
+            f"timing: observation_age_s {timing.observation_age_s:g} must be at least one physics step, "
+            f"{timing.physics_step_s:g}, and at most {LONGEST_AGE_S:g}."
+        )
     if robot.default_root_height_m <= 0.0:
         raise UserError(f"robot: default_root_height_m {robot.default_root_height_m:g} must be positive.")
     if list(network.output.shape) != [1, len(joints)]:

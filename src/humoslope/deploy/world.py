@@ -28,12 +28,16 @@ FOOT_DOWN_N = 5.0
 """A foot is down while the ground carries it with at least this normal force, N."""
 CLEARANCE = 0.01
 """Height of the feet above the ground at the start, m."""
+ROUNDING = 1e-6
+"""Fraction of a physics step that is rounding, not age."""
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 PHYSICS = (
     *("integrator", "cone", "jacobian", "solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance"),
     *("impratio", "gravity", "wind", "density", "viscosity", "disableflags", "enableflags"),
 )
 """Options of the physics that hold for every robot model of an export, in addition to the time step."""
+State = tuple[Array, Array]
+"""Positions and velocities, as MuJoCo has them."""
 
 
 class World:
@@ -45,6 +49,8 @@ class World:
         grade: Grade of the ramp, rad; positive rises along x.
         cross: Slope across the course, rad; positive rises to the left.
         foot_bodies: Ids of the bodies that carry the foot geoms, one for each foot.
+        free_pos: Index in `data.qpos` at which the pose of the root begins.
+        free_vel: Index in `data.qvel` at which the velocity of the root begins.
 
     Args:
         folder: The export folder.
@@ -106,7 +112,7 @@ class World:
         self.data = mujoco.MjData(self.model)
         free = self.model.joint(self.model.body(contract.robot.root_body).jntadr[0])
         joints = [self.model.joint(joint.name) for joint in contract.joints]
-        self._free_pos, self._free_vel = int(free.qposadr[0]), int(free.dofadr[0])
+        self.free_pos, self.free_vel = int(free.qposadr[0]), int(free.dofadr[0])
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
         self._default = np.array([joint.default_rad for joint in contract.joints])
@@ -133,12 +139,11 @@ class World:
                 f"{self._timestep:g} s."
             )
         self._delay = round(conditions.delay_s / self._timestep)  # physics steps
-        # The measurements belong to this many physics steps, and a part of the next one, after the last targets.
-        until_seen = (timing.control_step_s - timing.observation_age_s) / self._timestep
-        self._seen_after = math.floor(until_seen + 1e-6)
-        self._seen_part = until_seen - self._seen_after
-        if self._seen_part < 1e-6:
-            self._seen_part = 0.0
+        # Where the robot is, and what it measures of itself, belong to these numbers of physics steps ago.
+        self._place_age, self._sensor_age = (
+            age / self._timestep for age in (timing.physics_step_s, timing.observation_age_s)
+        )
+        self._kept = math.ceil(max(self._place_age, self._sensor_age) - ROUNDING)
 
     def reset(self, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, joints: Array | float = 0.0) -> None:
         """Places the robot at rest in its default pose, a centimetre above the ground.
@@ -153,12 +158,12 @@ class World:
         mujoco.mj_resetData(model, data)
         height = self._contract.robot.default_root_height_m + self.ground(x, y) + CLEARANCE
         pose = [x, y, height, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)]
-        data.qpos[self._free_pos : self._free_pos + 7] = pose
+        data.qpos[self.free_pos : self.free_pos + 7] = pose
         low, high = np.array([joint.range_rad for joint in self._contract.joints]).T
         data.qpos[self._qpos] = np.clip(self._default + joints, low, high)
         mujoco.mj_forward(model, data)
         if self._place_on_feet:
-            data.qpos[self._free_pos + 2] += CLEARANCE - self._clearance()
+            data.qpos[self.free_pos + 2] += CLEARANCE - self._clearance()
             mujoco.mj_forward(model, data)
         data.ctrl[:] = self._default - self._bias
         self._steps_done = 0
@@ -178,34 +183,56 @@ class World:
         """Advances by one control step with joint targets `target` [J], rad."""
         # The motors compare targets with encoders.
         self._underway.append((self._steps_done + self._delay, target - self._bias))
-        for done in range(self._decimation):
+        for left in range(self._decimation, 0, -1):
             while self._underway and self._underway[0][0] <= self._steps_done:
                 self.data.ctrl[:] = self._underway.popleft()[1]
-            if done == self._seen_after:
-                self._take_state()
+            if left <= self._kept:
+                self._past.appendleft(self._state())
             mujoco.mj_step(self.model, self.data)
             self._steps_done += 1
-            if done == self._seen_after and self._seen_part:
-                self._take_state_between(self._seen_part)
+        self._look()
 
     def push(self, velocity_w: Array) -> None:
         """Adds a velocity [3], m/s, to the whole robot."""
-        self.data.qvel[self._free_vel : self._free_vel + 3] += velocity_w
+        self.data.qvel[self.free_vel : self.free_vel + 3] += velocity_w
 
     def _take_state(self) -> None:
-        self._seen_pos, self._seen_vel = self.data.qpos.copy(), self.data.qvel.copy()
+        """Takes the present state for that of all times before."""
+        self._past: deque[State] = deque([self._state()] * self._kept, self._kept)  # the newest first
+        self._look()
 
-    def _take_state_between(self, part: float) -> None:
-        """Moves the seen state by this part of the way to the present one."""
-        way = np.zeros(self.model.nv)
-        mujoco.mj_differentiatePos(self.model, way, 1.0, self._seen_pos, self.data.qpos)
-        mujoco.mj_integratePos(self.model, self._seen_pos, way, part)
-        self._seen_vel += part * (self.data.qvel - self._seen_vel)
+    def look_now(self) -> None:
+        """Makes the present state the one that is seen."""
+        self._seen_pos, self._seen_vel = self._sensed_pos, self._sensed_vel = self._state()
+
+    def _state(self) -> State:
+        return self.data.qpos.copy(), self.data.qvel.copy()
+
+    def _look(self) -> None:
+        self._seen_pos, self._seen_vel = self._state_before(self._place_age)
+        self._sensed_pos, self._sensed_vel = (
+            (self._seen_pos, self._seen_vel)
+            if self._sensor_age == self._place_age
+            else self._state_before(self._sensor_age)
+        )
+
+    def _state_before(self, steps: float) -> State:
+        """Returns the state so many physics steps ago, interpolated between the two around it."""
+        whole = math.floor(steps + ROUNDING)
+        part = steps - whole
+        newer_pos, newer_vel = self._past[whole - 1] if whole else self._state()
+        if part <= ROUNDING:
+            return newer_pos, newer_vel
+        older_pos, older_vel = self._past[whole]
+        way, pos = np.zeros(self.model.nv), newer_pos.copy()
+        mujoco.mj_differentiatePos(self.model, way, 1.0, newer_pos, older_pos)
+        mujoco.mj_integratePos(self.model, pos, way, part)
+        return pos, newer_vel + part * (older_vel - newer_vel)
 
     def measured(self, command: Array, last_action: Array) -> Measured:
         """Returns the measurements of the instant that the contract prescribes."""
-        i, j = self._free_pos, self._free_vel
-        quat, ang_vel = self._seen_pos[i + 3 : i + 7], self._seen_vel[j + 3 : j + 6]
+        i, j = self.free_pos, self.free_vel
+        quat, ang_vel = self._sensed_pos[i + 3 : i + 7], self._sensed_vel[j + 3 : j + 6]
         if self._imu_quat is not None:
             true_quat, true_ang_vel, back = quat, ang_vel, np.zeros(4)
             quat, ang_vel = np.zeros(4), np.zeros(3)
@@ -215,21 +242,21 @@ class World:
         return Measured(
             root_quat_w=quat,
             root_ang_vel_b=ang_vel,  # MuJoCo keeps a free joint's rotation in its body's frame
-            joint_pos_rel=self._seen_pos[self._qpos] - self._default + self._bias,
-            joint_vel=self._seen_vel[self._qvel],
+            joint_pos_rel=self._sensed_pos[self._qpos] - self._default + self._bias,
+            joint_vel=self._sensed_vel[self._qvel],
             command=command,
             last_action=last_action,
         )
 
     @property
     def root_pos(self) -> Array:
-        """Position of the root [3], m, at the instant of the measurements."""
-        return self._seen_pos[self._free_pos : self._free_pos + 3]
+        """Position of the root [3], m, one physics step of the contract ago, like all that is no measurement."""
+        return self._seen_pos[self.free_pos : self.free_pos + 3]
 
     @property
     def yaw(self) -> float:
         """Heading of the root, rad."""
-        w, x, y, z = self._seen_pos[self._free_pos + 3 : self._free_pos + 7]
+        w, x, y, z = self._seen_pos[self.free_pos + 3 : self.free_pos + 7]
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     def ground(self, x: float, y: float = 0.0) -> float:
@@ -242,6 +269,10 @@ class World:
 
     def feet_down(self) -> NDArray[np.bool_]:
         """Returns for each of `foot_bodies` whether the ground carries it, [F]."""
+        return self.foot_forces() >= FOOT_DOWN_N
+
+    def foot_forces(self) -> Array:
+        """Returns the normal force of the ground on each of `foot_bodies`, [F] N."""
         force, wrench = np.zeros(len(self.foot_bodies)), np.zeros(6)
         for i, contact in enumerate(self.data.contact):
             for geom in contact.geom:
@@ -249,7 +280,7 @@ class World:
                 if foot is not None:
                     mujoco.mj_contactForce(self.model, self.data, i, wrench)
                     force[foot] += wrench[0]
-        return force >= FOOT_DOWN_N
+        return force
 
     def fallen(self) -> bool:
         """Returns whether the robot has fallen as the contract defines it, or the physics has diverged."""
@@ -258,7 +289,7 @@ class World:
         if any(warnings[kind].number for kind in (*bad, mujoco.mjtWarning.mjWARN_BADCTRL)):
             return True
         x, y, z = self.root_pos
-        _, qx, qy, _ = self._seen_pos[self._free_pos + 3 : self._free_pos + 7]
+        _, qx, qy, _ = self._seen_pos[self.free_pos + 3 : self.free_pos + 7]
         upright = 1.0 - 2.0 * (qx * qx + qy * qy)
         too_low = fall.root_height_below_m is not None and z - self.ground(x, y) < fall.root_height_below_m
         tilted = fall.tilt_above_deg is not None and upright < math.cos(math.radians(fall.tilt_above_deg))

@@ -7,9 +7,11 @@ import copy
 import io
 import logging
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import onnx
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
@@ -97,6 +99,13 @@ def translate(actor: Actor, observations: TensorDict) -> bytes:
     # The exporter notes stack traces with the paths of this machine at every node.
     for part in (*model.graph.node, *model.graph.value_info, *model.graph.input, *model.graph.output, model.graph):
         part.ClearField("metadata_props")
+    return bytes(model.SerializeToString())
+
+
+def with_metadata(content: bytes, metadata: Mapping[str, str]) -> bytes:
+    """Returns an ONNX file with these texts as its metadata, instead of any that it had."""
+    model = onnx.load_from_string(content)
+    onnx.helper.set_model_props(model, dict(metadata))
     return bytes(model.SerializeToString())
 
 

@@ -16,10 +16,10 @@ from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.quantities import CUSTOM, QUANTITIES
 from humoslope.deploy.unitree import deploy_yaml
-from humoslope.env import EnvCfg, ManagerBasedRlEnv
+from humoslope.env import EnvCfg, ManagerBasedRlEnv, SimCfg
 from humoslope.errors import UserError, unknown
 from humoslope.evaluation.common import rollout
-from humoslope.export.onnx import OUTPUT, largest_difference, network_inputs, translate
+from humoslope.export.onnx import OUTPUT, largest_difference, network_inputs, translate, with_metadata
 from humoslope.files import write_atomically, write_text
 from humoslope.learning.policy import Actor, Provenance
 from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms, VelocityCommandCfg
@@ -83,7 +83,7 @@ def export(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: 
     Raises:
         UserError: If the contract cannot describe what the policy needs, or the ONNX file acts differently from torch.
     """
-    content = translate(actor, observations)
+    content = with_metadata(translate(actor, observations), make_metadata(actor, env, trained))
     difference = largest_difference(content, actor, observations)
     if not difference <= TOLERANCE:
         raise UserError(
@@ -104,6 +104,35 @@ def export(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg, observations: 
     write_text(folder / contracts.FILE, contract.to_json())
     write_sums(folder, [ONNX, MODEL, contracts.FILE, *([] if without else [DEPLOY])])
     return Exported(contract, difference, len(observations), without)
+
+
+def make_metadata(actor: Actor, env: ManagerBasedRlEnv, trained: EnvCfg) -> dict[str, str]:
+    """Returns what a program that knows no contract needs to run the network, under mjlab's keys; lists are separated
+    by commas.
+
+    `observation_history`, the control steps that each observation spans, is ours. mjlab writes three decimals, this
+    every digit.
+
+    Args:
+        actor: As in `export`.
+        env: As in `export`.
+        trained: As in `export`.
+    """
+    joints = _joints(env, trained.actions.scale_factor)
+    groups = [_group(name, getattr(trained.observations, name), env) for name in actor.spec.groups]
+    lists: dict[str, list[Any]] = {
+        "joint_names": [joint.name for joint in joints],
+        "joint_stiffness": [joint.stiffness_nm_rad for joint in joints],
+        "joint_damping": [joint.damping_nms_rad for joint in joints],
+        "default_joint_pos": [joint.default_rad for joint in joints],
+        "action_scale": [joint.action_scale_rad for joint in joints],
+        "command_names": ["velocity"],
+        "observation_names": [term.name for group in groups for term in group.terms],
+        "observation_history": [group.history for group in groups for _ in group.terms],
+    }
+    return {"run_path": actor.provenance.path.name} | {
+        name: ",".join(map(str, values)) for name, values in lists.items()
+    }
 
 
 def make_contract(
@@ -147,7 +176,7 @@ def make_contract(
         timing=contracts.Timing(
             control_step_s=env.step_dt,
             physics_step_s=sim.timestep,
-            observation_age_s=sim.observation_age_s or sim.timestep,
+            observation_age_s=_observation_age(actor, trained, sim),
         ),
         action=contracts.Action(
             target="default_rad + action_scale_rad * output",
@@ -201,6 +230,24 @@ def _check_imu(env: ManagerBasedRlEnv) -> None:
         )
 
 
+def _observation_age(actor: Actor, trained: EnvCfg, sim: SimCfg) -> float:
+    """Age of all that the policy sees of the robot, s.
+
+    Raises:
+        UserError: If some of it has another age, because a contract has one for all.
+    """
+    ages: dict[str, float] = {}
+    for group in actor.spec.groups:
+        for name, term in getattr(trained.observations, group).terms.items():
+            if "measured" in inspect.signature(term.func).parameters:
+                age = sim.observation_age_s if term.params.get("measured") else None
+                ages[f"{group}.{name}"] = age or sim.timestep
+    if len(set(ages.values())) > 1:
+        listed = ", ".join(f"{name} {1e3 * age:g} ms" for name, age in ages.items())
+        raise UserError(f"a contract has one age for all that is seen, but here they differ: {listed}.")
+    return next(iter(ages.values()), sim.timestep)
+
+
 def _group(name: str, cfg: ObservationGroupCfg, env: ManagerBasedRlEnv) -> contracts.ObservationGroup:
     return contracts.ObservationGroup(
         name=name,
@@ -226,8 +273,9 @@ def _term(where: str, name: str, cfg: ObservationTermCfg, env: ManagerBasedRlEnv
         return contracts.Term(meaning=meaning, frame="", unit=(), components=(), shape=tuple(value.shape[1:]), **common)
     if quantity not in QUANTITIES:
         raise UserError(f"observation '{where}': {unknown('quantity', quantity, (*QUANTITIES, CUSTOM))}")
-    if cfg.params:
-        raise UserError(f"observation '{where}': a contract cannot carry its parameters ({', '.join(cfg.params)}).")
+    # `measured` is carried, as the age of what is seen.
+    if others := [name for name in cfg.params if name != "measured"]:
+        raise UserError(f"observation '{where}': a contract cannot carry its parameters ({', '.join(others)}).")
     known = QUANTITIES[quantity]
     components = known.components or env.robot.joint_names
     return contracts.Term(

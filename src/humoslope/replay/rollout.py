@@ -21,7 +21,7 @@ header:
     reward_terms            names of the columns of `reward`
     terrain                 name, grade (degrees), cell, origin [x, y of heights[0, 0]], tile_origin, tile_length,
                             tile_width
-    events                  list of {time, kind, text}; kinds are fall, push, touch, ground and end
+    events                  list of {time, kind, text}; kinds are fall, push, touch, ground, state and end
 """
 
 from __future__ import annotations
@@ -190,12 +190,14 @@ class Rollout:
         names: list[str] = self.header["robot"]["joint_names"]
         return names
 
-    def save(self, path: Path) -> None:
-        """Writes the file, sealed, in one step."""
+    def save(self, path: Path, **more: NDArray[Any]) -> None:
+        """Writes the file, sealed, in one step, with `more` arrays that only their writer's own reader knows."""
         header = self.header | {"format": NAME, "version": VERSION, "events": [e._asdict() for e in self.events]}
         arrays: dict[str, Any] = {f.name: getattr(self.columns, f.name) for f in fields(Columns)}
         arrays |= {"header": np.array(json.dumps(header)), "terrain_heights": self.terrain_heights}
-        write_arrays(path, arrays)
+        if taken := sorted(set(more) & set(arrays)):
+            raise ValueError(f"arrays of a rollout cannot be replaced: {', '.join(taken)}")
+        write_arrays(path, arrays | more)
 
 
 def load_rollout(path: Path) -> Rollout:
