@@ -4,48 +4,50 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import pytest
-import torch
-from hypothesis import settings
-from torch import Tensor
 
-from humoslope.cli import main
-from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.managers import FiniteWatch, Log, Terms
-from humoslope.registry import build_task, load_content
+# The libraries are imported by those who need them: where several processes share the tests, one only hands these out,
+# and the others start when it has read this file.
+if TYPE_CHECKING:
+    from torch import Tensor
 
-torch.set_num_threads(1)
+    from humoslope.env import EnvCfg, ManagerBasedRlEnv
+    from tests.fake_env import FakeEnv
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # in child processes, too: tests run side by side
-settings.register_profile("humoslope", deadline=None, max_examples=50)  # no test depends on how fast the machine is
-settings.load_profile("humoslope")
+
+
+def pytest_collection(session: pytest.Session) -> None:
+    if session.config.getoption("numprocesses", None):
+        return
+    import torch
+    from hypothesis import settings
+
+    torch.set_num_threads(1)
+    settings.register_profile("humoslope", deadline=None, max_examples=50)  # no test depends on how fast the machine is
+    settings.load_profile("humoslope")
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _content() -> None:
+    from humoslope.registry import load_content
+
     load_content()
-
-
-class FakeEnv(SimpleNamespace):
-    """Worlds without physics: sizes, a clock, a log, and what a test gives them."""
-
-    num_envs: int
-    device = torch.device("cpu")
-    step_dt = 0.02
-    sim = SimpleNamespace(known_empty=lambda mask: False, known_rows=lambda mask: slice(None))  # as on a GPU
-
-    def zeros(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-        return torch.zeros(self.num_envs, *shape, dtype=dtype)
-
-    def uniform(self, low: float, high: float, *shape: int) -> Tensor:
-        return torch.rand(self.num_envs, *shape) * (high - low) + low
 
 
 @pytest.fixture(scope="session")
 def make_env() -> Callable[..., FakeEnv]:
     """make_env(4, speed=...): a stand-in for an environment of four worlds, with these attributes."""
+
+    import torch
+
+    from humoslope.managers import FiniteWatch, Log, Terms
+    from tests.fake_env import FakeEnv
 
     def make(num_envs: int = 4, **attributes: object) -> FakeEnv:
         torch.manual_seed(0)
@@ -60,6 +62,9 @@ def make_env() -> Callable[..., FakeEnv]:
 @pytest.fixture(scope="session")
 def make_stage1() -> Callable[..., ManagerBasedRlEnv]:
     """make_stage1(8, change): the real Stage I on CPU physics, after `change(cfg)`."""
+
+    from humoslope.env import ManagerBasedRlEnv
+    from humoslope.registry import build_task
 
     def make(num_envs: int, change: Callable[[EnvCfg], None] = lambda cfg: None) -> ManagerBasedRlEnv:
         cfg = build_task("HumoSlope-Stage1-Unitree-G1").env
@@ -80,14 +85,24 @@ def stage1_checkpoint() -> Path:
 @pytest.fixture(scope="session")
 def exported(stage1_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its export folder; not to be written into."""
-    folder = tmp_path_factory.mktemp("export") / "stage1"
-    assert main(["export", str(stage1_checkpoint), "--out", str(folder)]) == 0
+    from humoslope.cli import main
+
+    common = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        common = common.parent  # of all processes that share the tests
+    folder = common / "exported-stage1"
+    if not folder.exists():
+        own = tmp_path_factory.mktemp("export") / "stage1"
+        assert main(["export", str(stage1_checkpoint), "--out", str(own)]) == 0
+        with suppress(OSError):  # another process was faster
+            own.rename(folder)
     return folder
 
 
 @pytest.fixture(scope="session")
 def mask() -> Callable[..., Tensor]:
     """mask(4, 1, 3): of four worlds, the second and the last."""
+    import torch
 
     def make(num_envs: int, *chosen: int) -> Tensor:
         result = torch.zeros(num_envs, dtype=torch.bool)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -19,6 +18,7 @@ from PIL import Image
 
 from humoslope.cli import main
 from humoslope.replay.rollout import load_rollout
+from tests import processes
 
 SHORT = ("--terrain", "rough-ramp-up", "--grade", "15", "--seconds", "1")
 
@@ -84,20 +84,14 @@ def test_a_video_that_is_stopped_leaves_no_file_behind(
 ) -> None:
     shutil.copy(walked, tmp_path / "walk.npz")
     options = ("--width", "480", "--height", "270", "--fps", "100", "--workers", workers)
-    command = [sys.executable, "-c", "import sys; from humoslope.cli import main; sys.exit(main())"]
-    video = subprocess.Popen(
-        [*command, "video", str(tmp_path / "walk.npz"), *options],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    video = processes.start("video", str(tmp_path / "walk.npz"), *options)
     while not list(tmp_path.glob(".walk.mp4.*")):  # it is being written
         assert video.poll() is None
         time.sleep(0.01)
-    video.send_signal(stop)
-    _, said = video.communicate()
-    assert video.returncode == 128 + stop
-    assert said == ("humoslope: interrupted.\n" if stop is signal.SIGINT else "humoslope: terminated.\n")
+    os.kill(video.pid, stop)
+    ended = video.wait()
+    assert ended.returncode == 128 + stop
+    assert ended.stderr == ("humoslope: interrupted.\n" if stop is signal.SIGINT else "humoslope: terminated.\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.npz", "walk.png"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -23,6 +24,7 @@ from humoslope.learning import checkpoint
 from humoslope.learning.distributed import Processes, any_process, choose_device, mean_over_processes, read_processes
 from humoslope.learning.rng import seed_everything
 from humoslope.learning.trainer import Trainer
+from tests import processes
 
 PATIENCE_S = 600.0
 """Time after which the test gives up on its child processes; no result depends on it."""
@@ -37,6 +39,15 @@ def torchrun(*arguments: str) -> subprocess.Popen[str]:
         text=True,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
     )
+
+
+def ranks(*arguments: str) -> list[processes.Running]:
+    """Two processes with the environment variables that torchrun would give them."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    common = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    return [processes.start(*arguments, env=common | {"RANK": rank, "LOCAL_RANK": rank}) for rank in ("0", "1")]
 
 
 def workers(agent: subprocess.Popen[str]) -> list[int]:
@@ -73,9 +84,9 @@ def test_two_processes_log_once_save_once_stop_together_and_resume(task, tiny, t
     assert list(read_curves(run)["Perf/total_steps"].items()) == [(i, 64.0 * (i + 1)) for i in range(done)]
     assert len(list((run / "starts").iterdir())) == 1
 
-    resumed = torchrun("train", task, "--resume", str(run), "--agent.max-iterations", str(done + 2))
-    said, _ = resumed.communicate(timeout=PATIENCE_S)
-    assert resumed.returncode == 0, said
+    resumed = ranks("train", task, "--resume", str(run), "--agent.max-iterations", str(done + 2))
+    for ended in [rank.wait(PATIENCE_S) for rank in resumed]:
+        assert ended.returncode == 0, ended
     assert checkpoint.load(run / f"model_{done + 1}.pt", task)["total_steps"] == 64 * (done + 2)
     assert not list(tmp_path.glob("model_*.pt"))
 
