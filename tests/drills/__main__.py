@@ -22,6 +22,8 @@ from tests.drills import damage, options, processes
 from tests.drills.files import make_files
 from tests.drills.report import Drill
 
+SHIPPED = Path("experiments/checkpoints/stage1.pt")
+
 
 @dataclasses.dataclass(frozen=True)
 class Long:
@@ -57,7 +59,7 @@ def run(numbers: Long, console: Console) -> list[Drill]:
         if numbers.rooms:
             found.append(processes.drill_room(folder, numbers.rooms))
         if numbers.flips:
-            files, export = make_files(folder / "files")
+            files, export = make_files(folder / "files", SHIPPED, with_run=True)
             executed = damage.watch_for_execution()
             (folder / "spoilt").mkdir()
             for kind, path in files.items():

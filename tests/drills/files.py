@@ -9,16 +9,17 @@ from humoslope.learning import checkpoint
 from tests.drills.processes import train
 
 
-def make_files(folder: Path, actor: Path | None = None) -> tuple[dict[str, Path], Path]:
+def make_files(folder: Path, actor: Path, with_run: bool = False) -> tuple[dict[str, Path], Path]:
     """A file of each kind that `damage` reads, and an export folder.
 
     Args:
-        actor: A checkpoint that exists; by default that of a tiny run.
+        actor: A checkpoint of a trained policy.
+        with_run: Take the checkpoint of a tiny run instead, and with it the state of its episodes.
     """
-    run = folder / "run"
-    if actor is None:
-        assert train(run, 1) == 0
-        actor = checkpoint.latest(run)
+    made = actor
+    if with_run:
+        assert train(folder / "run", 1) == 0
+        made = checkpoint.latest(folder / "run")
     out = folder / "walked"
     walk = ["--grades", "0", "--trials", "1", "--parallel-trials", "1", "--timeout-s", "0.1", "--out", str(out)]
     assert main(["evaluate", str(actor), *walk]) == 0
@@ -30,11 +31,11 @@ def make_files(folder: Path, actor: Path | None = None) -> tuple[dict[str, Path]
     assert main(["export", str(actor), "--out", str(export)]) == 0
     (trials,) = folder.glob("walked.*.npz")
     files = {
-        "checkpoint": actor,
+        "checkpoint": made,
         "rollout": rollout,
         "result": folder / "walked.json",
         "saved trials": trials,
     }
-    if (actor.parent / "episodes.pt").is_file():
-        files["episodes"] = actor.parent / "episodes.pt"
+    if with_run:
+        files["episodes"] = made.parent / "episodes.pt"
     return files, export
