@@ -732,15 +732,18 @@ def test_a_description_names_every_term(make_stage1: Callable[..., ManagerBasedR
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda cfg: setattr(cfg, "num_envs", 0), "num_envs 0 must be at least 1"),
+        (lambda cfg: setattr(cfg, "num_envs", 0), "env.num_envs is 0; it must be between 1 and 1,000,000"),
         (
             lambda cfg: setattr(cfg, "episode_length_s", 0.0),
-            "episode_length_s is 0 s; it must be finite and at least one",
+            "env.episode_length_s is 0; it must be between 0 and 100,000, 0 excluded",
         ),
         (lambda cfg: setattr(cfg, "episode_length_s", 0.005), "episode_length_s is 0.005 s; .* control step of 0.02 s"),
-        (lambda cfg: setattr(cfg, "episode_length_s", float("nan")), "episode_length_s is nan s"),
-        (lambda cfg: setattr(cfg.sim, "timestep", float("inf")), "sim.timestep must be positive and finite"),
-        (lambda cfg: setattr(cfg.sim, "decimation", 0), "sim.decimation at least 1"),
+        (lambda cfg: setattr(cfg, "episode_length_s", float("nan")), "episode_length_s is nan; it must be"),
+        (
+            lambda cfg: setattr(cfg.sim, "timestep", float("inf")),
+            "env.sim.timestep is inf; it must be between 0.0001 and 0.05",
+        ),
+        (lambda cfg: setattr(cfg.sim, "decimation", 0), "env.sim.decimation is 0; it must be between 1 and 1,000"),
         (lambda cfg: cfg.rewards.pitch.params.update(share=1.0), "reward 'pitch': parameter 'share' does not exist"),
     ],
 )

@@ -1,15 +1,24 @@
-"""SIGINT and SIGTERM are recorded while work is under way, and are what they were before afterwards."""
+"""SIGINT, SIGTERM and SIGHUP are recorded while work is under way, and are what they were before afterwards."""
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
+import sys
 import threading
+import time
+from pathlib import Path
 
 import pytest
 
-from humoslope.interrupts import deferred_interrupts
+from humoslope.interrupts import Terminated, deferred_interrupts
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+PATIENCE = 6000
+"""Looks at a child before the test gives up on it; no result depends on it."""
 
 
 @pytest.fixture(autouse=True)
@@ -28,6 +37,7 @@ def test_a_signal_is_recorded_and_raises_nothing(number: signal.Signals) -> None
         signal.raise_signal(number)
         signal.raise_signal(number)
         assert interrupt.requested
+        assert interrupt.number == number
     assert calls == ["first"]
 
 
@@ -36,8 +46,38 @@ def test_a_second_signal_raises_where_it_is_asked_for(second: signal.Signals) ->
     with deferred_interrupts(second_raises=True) as interrupt:
         signal.raise_signal(signal.SIGINT)
         assert interrupt.requested
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(Terminated) as stop:
             signal.raise_signal(second)
+        assert stop.value.exit_code == 128 + second
+
+
+def test_a_signal_that_is_ignored_as_under_nohup_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with deferred_interrupts() as interrupt:
+            signal.raise_signal(signal.SIGHUP)
+            assert not interrupt.requested
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_child_does_not_outlive_a_parent_that_is_killed() -> None:
+    code = (
+        "import subprocess, sys, time; from humoslope.interrupts import die_with_parent;"
+        "c = subprocess.Popen(['sleep', '600'], preexec_fn=die_with_parent); print(c.pid, flush=True); time.sleep(600)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    for _ in range(PATIENCE):
+        if not Path(f"/proc/{child}").exists() or "Z" in Path(f"/proc/{child}/stat").read_text().split()[2]:
+            break
+        time.sleep(0.01)
+    else:
+        os.kill(child, signal.SIGKILL)
+        pytest.fail("the child lives on")
 
 
 def test_the_handlers_come_back_after_an_error() -> None:

@@ -119,7 +119,7 @@ class More(Settings):
         ("mode", "c", "settings.mode is 'c'; it must be 'a' or 'b'."),
         ("plain", math.nan, "settings.plain is nan; it must be finite."),
         ("count", 0, "settings.count is 0; it must be 1 or more."),
-        ("count", True, "settings.count is True; it must be 1 or more."),
+        ("count", True, "settings.count is True; it must be a whole number."),
         ("count", 1.5, "settings.count is 1.5; it must be a whole number."),
         ("rate", "many", "settings.rate is 'many'; it must be positive."),
         ("rate", 1e300, "settings.rate is 1e+300; it must be positive, of a size between 1e-09 and 1,000,000."),

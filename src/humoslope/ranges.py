@@ -185,7 +185,7 @@ def in_words(hint: Any) -> str:
         return f"{each}{declared[0]}" if declared else in_words(arguments[0])
     if origin in (Union, UnionType):
         return next((words for words in map(in_words, arguments) if words), "")
-    if origin is not None and issubclass(origin, tuple | Mapping):
+    if inspect.isclass(origin) and issubclass(origin, tuple | Mapping):
         words = next((words for words in map(in_words, arguments) if words), "")
         return words and f"each {words}"
     return ""

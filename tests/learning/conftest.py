@@ -33,8 +33,8 @@ def tiny() -> list[str]:
 def train() -> Callable[..., Path]:
     """Trains a tiny run to its end; returns its folder."""
 
-    def run(run_dir: Path, *options: str) -> Path:
-        assert main(["train", TASK, "--run-dir", str(run_dir), *TINY, *options]) == 0
+    def run(run_dir: Path, *options: str, code: int = 0) -> Path:
+        assert main(["train", TASK, "--run-dir", str(run_dir), *TINY, *options]) == code
         return run_dir
 
     return run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -23,6 +24,7 @@ from humoslope.errors import UserError
 from humoslope.evaluation.report.curve import read_curves
 from humoslope.learning import checkpoint
 from humoslope.learning.logger import ProgressLine
+from humoslope.learning.ppo import PpoLearner
 from humoslope.learning.rng import seed_everything
 from humoslope.learning.run_folder import saved_options
 from humoslope.learning.trainer import Trainer, tf32_products
@@ -46,9 +48,15 @@ def same(a: Any, b: Any) -> bool:
 
 
 def assert_same(first: Path, second: Path, but: tuple[str, ...] = ("/total_time",)) -> None:
-    a, b = leaves(checkpoint.load(first)), leaves(checkpoint.load(second))
+    a, b = (leaves(checkpoint.load(path)) for path in (first, second))
     assert a.keys() == b.keys()
     assert [path for path in a if path not in but and not same(a[path], b[path])] == []
+
+
+def assert_same_values(first: Any, second: Any) -> None:
+    a, b = leaves(first), leaves(second)
+    assert a.keys() == b.keys()
+    assert [path for path in a if not same(a[path], b[path])] == []
 
 
 def test_one_seed_gives_one_result(train, finished, tmp_path):
@@ -76,7 +84,7 @@ def test_the_folder_of_a_run_tells_what_it_was(finished, task):
     assert "3/3" in (finished / "console.log").read_text()
     files = {path.name for path in finished.iterdir() if not path.name.startswith("events.out.tfevents.")}
     models = {f"model_{number}.pt" for number in range(3)}
-    assert files == models | {"starts", "console.log"}
+    assert files == models | {"starts", "console.log", "episodes.pt"}
 
 
 def test_the_curves_of_a_run_count_its_iterations_and_steps(finished):
@@ -139,7 +147,7 @@ def test_a_killed_run_resumes_from_its_last_checkpoint(task, tiny, tmp_path):
     assert list(read_curves(run)["Perf/total_steps"].items()) == [(i, 32.0 * (i + 1)) for i in range(done + 2)]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_a_run_after_its_iteration_with_a_checkpoint(train, task, tmp_path, monkeypatch, capsys, number):
     shown = ProgressLine.show
 
@@ -150,13 +158,111 @@ def test_a_signal_ends_a_run_after_its_iteration_with_a_checkpoint(train, task, 
 
     monkeypatch.setattr(ProgressLine, "show", interrupt)
     before = signal.getsignal(number)
-    run = train(tmp_path / "run", "--agent.max-iterations", "1000000", "--agent.save-interval", "1000000")
+    many = ["--agent.max-iterations", "1000000", "--agent.save-interval", "1000000"]
+    run = train(tmp_path / "run", *many, code=128 + number)
     assert signal.getsignal(number) == before
     said = capsys.readouterr().out.replace("\n", "")
     assert "Stopping after this iteration" in said
     assert f"Stopped after iteration 2; saved {run / 'model_1.pt'}." in said
     assert checkpoint.load(run / "model_1.pt", task)["total_steps"] == 64
     assert list(read_curves(run)["Perf/total_steps"]) == [0, 1]
+
+
+def test_a_resumed_run_equals_one_that_was_never_stopped(train, finished, task, tmp_path, capsys):
+    whole = train(tmp_path / "whole", "--agent.max-iterations", "6")
+    run = shutil.copytree(finished, tmp_path / "run")
+    assert main(["train", task, "--resume", str(run), "--agent.max-iterations", "6"]) == 0
+    assert "Its episodes go on where they were." in capsys.readouterr().out
+    for number in range(3, 6):
+        assert_same(
+            whole / f"model_{number}.pt",
+            run / f"model_{number}.pt",
+            but=("/total_time", "/config/agent/max_iterations"),
+        )
+    first, second = (checkpoint.load_sealed(folder / "episodes.pt")["state"] for folder in (whole, run))
+    assert_same_values(first, second)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "why"),
+    [
+        (lambda run: (run / "episodes.pt").unlink(), [], "there is no episodes.pt beside it"),
+        (lambda run: (run / "model_2.pt").unlink(), [], "episodes.pt belongs to another checkpoint"),
+        (lambda run: (run / "episodes.pt").write_bytes(b"PK"), [], "episodes.pt is damaged or of another version"),
+        (lambda run: None, ["--env.episode-length-s", "5"], "the environment is configured differently now"),
+    ],
+)
+def test_a_run_that_cannot_go_on_exactly_says_why(finished, task, tmp_path, capsys, spoil, options, why):
+    run = shutil.copytree(finished, tmp_path / "run")
+    spoil(run)
+    assert main(["train", task, "--resume", str(run), "--agent.max-iterations", "4", *options]) == 0
+    said = capsys.readouterr().out.replace("\n", " ")
+    assert f"Its episodes start anew ({why}), so that it departs from a run that was never stopped." in said
+
+
+def test_a_closed_pipe_does_not_end_a_training(task, tiny, tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as nobody, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdout", nobody)
+        assert main(["train", task, "--run-dir", str(tmp_path / "run"), *tiny, "--agent.max-iterations", "2"]) == 141
+        nobody.close = lambda: None
+    console = (tmp_path / "run" / "console.log").read_text()
+    assert "The terminal is gone (Broken pipe); training goes on, and this file tells how." in console
+    assert "2/2" in console
+    assert checkpoint.load(tmp_path / "run" / "model_1.pt")["iteration"] == 1
+
+
+@pytest.mark.parametrize(("where", "saved"), [("act", "model_1.pt"), ("update", "model_0.pt")])
+def test_an_error_ends_a_run_with_its_state_saved_or_the_last_good_one_named(
+    task, tiny, tmp_path, monkeypatch, capsys, where, saved
+):
+    calls, own = [], getattr(PpoLearner, where)
+
+    def fail(self: PpoLearner, obs: Any) -> Any:
+        calls.append(1)
+        if len(calls) > 2 * (4 if where == "act" else 1):
+            raise ZeroDivisionError
+        return own(self, obs)
+
+    monkeypatch.setattr(PpoLearner, where, fail)
+    run, options = tmp_path / "run", ["--agent.max-iterations", "9", "--agent.save-interval", "1000"]
+    with pytest.raises(ZeroDivisionError):
+        main(["train", task, "--run-dir", str(run), *tiny, *options])
+    said = capsys.readouterr().out.replace("\n", "")
+    assert f"ZeroDivisionError after 2 iterations; the last good checkpoint is {run / saved}." in said
+    assert checkpoint.latest(run).name == saved
+
+
+def test_a_full_disk_is_a_sentence_that_names_the_last_good_checkpoint(task, tiny, tmp_path, monkeypatch, capsys):
+    written = Path.write_bytes
+
+    def write_bytes(self: Path, content: bytes) -> int:
+        if self.name.startswith(".model_1.pt."):
+            written(self, content[:100])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self))
+        return written(self, content)
+
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
+    run = tmp_path / "run"
+    assert main(["train", task, "--run-dir", str(run), *tiny, "--agent.max-iterations", "9"]) == 2
+    said = capsys.readouterr().err
+    place, good = run / "model_1.pt", run / "model_0.pt"
+    assert said == (
+        f"humoslope: cannot write '{place}': No space left on device; the last good checkpoint is {good}.\n"
+    )
+    assert [path.name for path in run.glob(".*")] == []
+    checkpoint.load(good)
+
+
+def test_what_a_killed_process_left_half_written_is_removed_at_the_next_start(finished, task, tmp_path):
+    run = shutil.copytree(finished, tmp_path / "run")
+    left, other = run / ".model_8.pt.n2iha01o.pt", run / ".notes.pt"
+    left.write_bytes(b"half")
+    other.write_bytes(b"mine")
+    assert main(["train", task, "--resume", str(run)]) == 0
+    assert not left.exists()
+    assert other.exists()
 
 
 def make_trainer(task: str, tiny: list[str], *options: str) -> Trainer:

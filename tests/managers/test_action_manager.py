@@ -73,5 +73,5 @@ def test_an_action_that_is_not_finite_is_reported(env):
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_scale_that_moves_nothing_or_anything_is_refused(env, factor):
-    with pytest.raises(UserError, match="scale_factor is .*; it must be positive"):
+    with pytest.raises(UserError, match=r"actions\.scale_factor is .*; it must be between 0 and 1,000, 0 excluded"):
         ActionManager(env, JointPositionActionCfg(scale_factor=factor))

@@ -258,12 +258,12 @@ def test_a_value_that_is_not_finite_is_reported_by_group_and_term_without_its_hi
     [
         ({"scale": float("nan")}, "scale is nan; it must be a finite number"),
         ({"scale": float("inf")}, "scale is inf; it must be a finite number"),
-        ({"noise": -1.0}, "noise is -1; it must be a half-width of 0 or more"),
-        ({"noise": float("nan")}, "noise is nan; it must be a half-width of 0 or more"),
+        ({"noise": -1.0}, "noise is -1; it must be 0 or more"),
+        ({"noise": float("nan")}, "noise is nan; it must be 0 or more"),
     ],
 )
 def test_a_scale_or_noise_that_is_no_such_number_is_refused(env, change, message):
-    with pytest.raises(UserError, match=f"observation 'actor.speed': {message}"):
+    with pytest.raises(UserError, match=rf"observation group 'actor'\.terms\.speed\.{message}"):
         manager(env, speed=ObservationTermCfg(speed, **change))
 
 
@@ -273,5 +273,5 @@ def test_a_group_without_terms_is_refused(env):
 
 
 def test_a_history_of_no_step_is_refused(env):
-    with pytest.raises(UserError, match="observation group 'actor': history 0 must be at least 1"):
+    with pytest.raises(UserError, match=r"observation group 'actor'\.history is 0; it must be between 1 and 1,000"):
         manager(env, history=0, speed=ObservationTermCfg(speed))

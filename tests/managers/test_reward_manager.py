@@ -122,7 +122,7 @@ def test_a_diverged_env_earns_nothing_and_spoils_neither_report_nor_log(env, mas
 
 @pytest.mark.parametrize("weight", [float("nan"), float("inf")])
 def test_a_weight_that_is_not_finite_is_refused(env, weight):
-    with pytest.raises(UserError, match=f"reward 'speed': weight is {weight}; it must be a finite number"):
+    with pytest.raises(UserError, match=f"reward 'speed'.weight is {weight}; it must be a finite number"):
         RewardManager(env, Terms(speed=RewardTermCfg(speed, weight=weight)))
 
 

@@ -457,7 +457,7 @@ MISTAKES = {
         {"observation_age_s": 0.001},
         r"sim.observation_age_s is 0.001; it must be finite and at least the physics step of 0.005 s\.",
     ),
-    "room": ({"max_control_delay_s": -0.1}, r"sim: max_control_delay_s is -0.1; it must be 0 or more\."),
+    "room": ({"max_control_delay_s": -0.1}, r"env.sim.max_control_delay_s is -0.1; it must be between 0 and 0.5\."),
 }
 
 

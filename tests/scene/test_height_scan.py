@@ -179,11 +179,11 @@ def test_a_scan_is_not_made_if_nothing_asks(make_stage1, monkeypatch):
 @pytest.mark.parametrize(
     ("cfg", "message"),
     [
-        (HeightScanCfg(size=1), "size must be at least 2"),
-        (HeightScanCfg(spacing=0.0), "spacing positive"),
-        (HeightScanCfg(spacing=math.nan), "spacing positive"),
-        (HeightScanCfg(dead_band=3.0), "dead_band 3 must be from 0 to less than pi/2, in rad"),
-        (HeightScanCfg(dead_band=-0.1), "dead_band -0.1 must be"),
+        (HeightScanCfg(size=1), "size is 1; it must be between 2 and 64"),
+        (HeightScanCfg(spacing=0.0), "spacing is 0; it must be between 0.001 and 100"),
+        (HeightScanCfg(spacing=math.nan), "spacing is nan; it must be"),
+        (HeightScanCfg(dead_band=3.0), "dead_band is 3; it must be between 0 and 1.5708, 1.5708 excluded"),
+        (HeightScanCfg(dead_band=-0.1), "dead_band is -0.1; it must be"),
     ],
 )
 def test_an_impossible_patch_is_refused(ramps, cfg, message):

@@ -217,11 +217,11 @@ class Trainer:
             restore_rng(state["rng"], self.env.device)
         else:
             seed_everything((self.cfg.env.seed + RANK_SEED_STRIDE * self.iteration) % 2**32)
-        lacking = self._resume_episodes(path, state)
-        self._goes_on = not lacking
+        why_not = self._resume_episodes(path, state)
+        self._goes_on = not why_not
         if self._goes_on:
             return "Its episodes go on where they were."
-        return f"Its episodes start anew ({lacking}), so that it departs from a run that was never stopped."
+        return f"Its episodes start anew ({why_not}), so that it departs from a run that was never stopped."
 
     def warm_start(self, path: Path) -> None:
         """Takes the policy, with its normaliser, from a checkpoint of any task; everything else starts anew.

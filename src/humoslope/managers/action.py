@@ -9,7 +9,7 @@ import torch
 from rich.table import Table
 from torch import Tensor
 
-from humoslope.ranges import Range
+from humoslope.ranges import Range, check_config
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ class ActionManager:
 
     def __init__(self, env: Env, cfg: JointPositionActionCfg) -> None:
         robot = env.robot
+        check_config("actions", cfg)
         self._env = env
         self._ctrl = env.sim.state("ctrl")  # [N, J]
         self._default = torch.tensor(robot.default_joint_pos, device=env.device)  # [J]

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from humoslope.errors import UserError, unknown
 from humoslope.managers.clock import check_interval
-from humoslope.ranges import NotNegative, PositiveSpan, Range, Share
+from humoslope.ranges import NotNegative, PositiveSpan, Range, Share, check_config
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
@@ -96,6 +96,7 @@ class CommandManager:
     """
 
     def __init__(self, env: Env, cfg: VelocityCommandCfg) -> None:
+        check_config("command", cfg)
         _check_modes(cfg, env.tiles.has_omnidirectional)
         steps = check_interval("command: resample_s", cfg.resample_s, env.step_dt)
         self._env, self.cfg = env, cfg

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from humoslope.errors import UserError
 from humoslope.managers.terms import StatefulTerm, StatefulTerms, TermCfg, Terms, bind, first_value
-from humoslope.ranges import Finite, NotNegative, Range
+from humoslope.ranges import Finite, NotNegative, Range, check_config
 from humoslope.strict import StrictCfg
 
 if TYPE_CHECKING:
@@ -119,6 +119,7 @@ class ObservationGroup:
     """
 
     def __init__(self, env: Env, name: str, cfg: ObservationGroupCfg) -> None:
+        check_config(f"observation group '{name}'", cfg)
         if not len(cfg.terms):
             raise UserError(f"observation group '{name}' has no terms.")
         self.env, self.cfg, self.history = env, cfg, cfg.history

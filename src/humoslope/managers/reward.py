@@ -11,7 +11,7 @@ from torch import Tensor
 
 from humoslope.errors import UserError, unknown
 from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind, first_value
-from humoslope.ranges import Finite
+from humoslope.ranges import Finite, check_config
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -39,6 +39,8 @@ class RewardManager:
     def __init__(self, env: Env, cfg: Terms[RewardTermCfg]) -> None:
         self._env = env
         self._stateful = StatefulTerms()
+        for name, term in cfg.items():
+            check_config(f"reward '{name}'", term)
         terms = {name: term for name, term in cfg.items() if term.weight != 0.0}
         self.names = list(terms)
         self._curves = tuple(f"Reward/{name}" for name in terms)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from humoslope.errors import UserError
+from humoslope.errors import UserError, require_not_negative, require_positive
 from humoslope.managers.command import commanded_and_walked
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.mdp.harness import Harness
@@ -54,6 +54,10 @@ class TerrainLevels(CurriculumTerm):
     ) -> None:
         if not 0.0 < down < up <= 1.0:
             raise UserError(f"terrain levels: down {down:g} and up {up:g} must be shares with 0 < down < up <= 1.")
+        if not 0.0 <= spread <= 1.0:
+            raise UserError(f"terrain levels: spread {spread:g} must be between 0 and 1.")
+        require_not_negative("terrain levels", least_commanded=least_commanded)
+        require_positive("terrain levels", up_commanded=up_commanded)
         env.tiles.set_level(torch.randint_like(env.tiles.level, max(1, round(spread * env.tiles.num_levels))))
         self._env, self._up, self._down, self._least = env, up, down, least_commanded
         self._up_commanded = up_commanded

@@ -6,17 +6,17 @@ It exists in training alone: no evaluation configures it, and a run that used it
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import torch
 from torch import Tensor
 
-from humoslope.errors import UserError, unknown
+from humoslope.errors import UserError, require_not_negative, require_positive, unknown
 from humoslope.managers.command import commanded_and_walked
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.managers.terms import StatefulTerm
-from humoslope.ranges import NotNegative, Positive, Range, Share
+from humoslope.ranges import NotNegative, Positive, Share
 from humoslope.slope import quaternion, zmp
 
 if TYPE_CHECKING:
@@ -42,11 +42,14 @@ class Harness(StatefulTerm):
     def __init__(
         self,
         env: Env,
-        support: Annotated[float, Range(0.0, 2.0)] = 0.35,
+        support: NotNegative = 0.35,
         stiffness: NotNegative = 120.0,
         damping: NotNegative = 3.0,
         scale: Share = 1.0,
     ) -> None:
+        if not 0.0 <= scale <= 1.0:
+            raise UserError(f"harness: scale {scale} must be between 0 and 1.")
+        require_not_negative("harness", support=support, stiffness=stiffness, damping=damping)
         self.scale = torch.tensor(scale, device=env.device)
         self._env = env
         self._lift = support * env.robot.total_mass * zmp.GRAVITY  # N
@@ -133,6 +136,8 @@ class HarnessCurriculum(CurriculumTerm):
         memory_s: Positive = 10.0,
     ) -> None:
         harness = _harness(env, event)
+        require_not_negative("harness curriculum", rate=rate, falls_per_second=falls_per_second)
+        require_positive("harness curriculum", memory_s=memory_s)
         self._harness, self._rate = harness, rate
         self._most_falls, self._least_speed = falls_per_second, speed_share
         self._keep = max(0.0, 1.0 - env.step_dt / memory_s)

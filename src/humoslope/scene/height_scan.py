@@ -9,7 +9,7 @@ from typing import Annotated
 import torch
 from torch import Tensor
 
-from humoslope.ranges import Range
+from humoslope.ranges import Range, check_config
 from humoslope.scene.signals import Signals
 from humoslope.scene.tiles import Tiles
 from humoslope.slope.descriptor import Descriptor, terrain_descriptor
@@ -42,6 +42,7 @@ class HeightScan:
     """
 
     def __init__(self, cfg: HeightScanCfg, signals: Signals, terrain: TerrainQueries, tiles: Tiles) -> None:
+        check_config("scene.height_scan", cfg)
         self.cfg = cfg
         self._signals, self._terrain, self._tiles = signals, terrain, tiles
         device = tiles.origin_w.device
