@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,16 +11,17 @@ import pytest
 
 from humoslope.cli import main
 from humoslope.deploy.contract import Contract
-from humoslope.deploy.controller import Controller, OnnxPolicy
+from humoslope.deploy.controller import OnnxPolicy
+from humoslope.deploy.doctor import network
 from humoslope.deploy.doctor.diagnose import diagnose
 from humoslope.deploy.doctor.network import mistakes
-from humoslope.deploy.doctor.walk import Finding
+from humoslope.deploy.doctor.walk import Finding, read_walk
 from humoslope.deploy.onboard import states
 from humoslope.deploy.onboard.guards import Limits
 from humoslope.deploy.onboard.log import to_rollout
 from humoslope.deploy.onboard.simulated import Faults
 from humoslope.errors import UserError
-from tests.deploy.onboard.conftest import SHORT, stage  # noqa: F401
+from tests.deploy.onboard.conftest import SHORT
 
 ROPE = "0.32:start 0.32:lower 0.7:A"
 """The rope stays on, and the robot marks time: a robot with wrong encoders does not walk."""
@@ -32,16 +32,14 @@ def recorded(
     stage: Callable[..., Any],
     exported: Path,
     contract: Contract,
-    tmp_path_factory: pytest.TempPathFactory,  # noqa: F811
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> Callable[..., Path]:
     """recorded(faults, script=..., seconds=...): the rollout of a walk."""
 
-    def make(faults: Faults, script: str = SHORT, seconds: float = 5.0, controller: Any = None, **more: Any) -> Path:
+    def make(faults: Faults, script: str = SHORT, seconds: float = 5.0, **more: Any) -> Path:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(states, "MOVE_S", 0.3)
             walk = stage(script, faults=faults, limits=Limits(start_pose_rad=3.0), hold_heading=True, **more)
-            if controller is not None:
-                walk.session._controller = controller
             walk.run(seconds)
         rollout, arrays = to_rollout(exported, contract, walk.session.ticks, "test")
         path = tmp_path_factory.mktemp("doctor") / "walk.npz"
@@ -106,7 +104,6 @@ def test_the_fault_of_a_robot_is_named(
         "the history is newest first",
         "the history is laid out frame by frame",
         "the IMU is 1 control steps late",
-        "the last action is 1 control steps late",
         "left and right joints are exchanged, in the measurements alone",
         "joints are in alphabetical order",
         "quaternions are x, y, z, w",
@@ -132,23 +129,21 @@ def test_the_mistake_of_a_program_is_named(
 
 
 def acted(sound: Path, exported: Path, contract: Contract, words: str, action: Any) -> Any:
-    """The actions of a program with a mistake, each after the actions that were recorded of it before."""
-    from humoslope.deploy.doctor import network
-    from humoslope.deploy.doctor.walk import read_walk
-
+    """The actions of a program with a mistake that sees the measurements of a walk, and its own last actions."""
     (mistake,) = [mistake for mistake in mistakes(contract) if mistake.words == words]
-    walk, policy, given = read_walk(sound, exported, contract), OnnxPolicy(exported, contract.network), []
+    walk, policy = read_walk(sound, exported, contract), OnnxPolicy(exported, contract.network)
+    step = contract.observations[0].history + network.LATEST  # the first one that is computed
 
-    class Keeping:
-        def __call__(self, observations: Any) -> Any:
-            given.append(policy(observations))
-            return given[-1]
+    def keep(observations: Any) -> Any:
+        nonlocal step
+        walk.action[step] = policy(observations)
+        step += 1
+        return walk.action[step - 1]
 
-    network.difference(walk, contract, Keeping(), mistake, len(walk))  # type: ignore[arg-type]
-    action = action.copy()
-    # The observations of the last action are those of the recorded walk, so the mistake is the same for both.
-    action[-len(given) :] = given
-    return action
+    network.difference(walk, contract, keep, mistake, len(walk))  # type: ignore[arg-type]
+    changed = action.copy()
+    changed[-len(walk) :] = walk.action
+    return changed
 
 
 def test_a_log_of_another_contract_is_refused(
