@@ -23,7 +23,7 @@ from humoslope.deploy.onboard.simulated import Faults
 from humoslope.errors import UserError
 from tests.deploy.onboard.conftest import SHORT
 
-ROPE = "0.32:start 0.32:lower 0.7:A"
+ROPE = "0.4:start 0.4:lower 0.8:A"
 """The rope stays on, and the robot marks time: a robot with wrong encoders does not walk."""
 
 
@@ -166,5 +166,5 @@ def test_the_doctor_says_what_to_look_at_first(sound: Path, exported: Path, caps
 def test_a_walk_that_is_too_short_is_refused(
     recorded: Callable[..., Path], examine: Callable[[Path], list[Finding]]
 ) -> None:
-    with pytest.raises(UserError, match="holds 15 steps of walking; a diagnosis needs 50"):
+    with pytest.raises(UserError, match="holds [0-9]+ steps of walking; a diagnosis needs 50"):
         examine(recorded(Faults(), seconds=1.0))

@@ -140,7 +140,7 @@ def test_nothing_is_sent_while_somebody_else_commands_the_motors(stage: Callable
 
 
 def test_a_dry_run_computes_and_sends_nothing(stage: Callable[..., Stage]) -> None:
-    run = stage(dry_run=True).run(0.9)
+    run = stage(dry_run=True).run(1.0)
     assert run.session.state.mode is Mode.WALK
     assert np.abs(run.session.ticks.action[-1]).max() > 0.0
     run.session.stop("stop")
@@ -155,7 +155,7 @@ def test_a_loop_that_stands_still_is_noticed_and_damped_for_good(stage: Callable
     assert walk.session.watch()
     walk.link.run(0.01)
     assert walk.robot.damped
-    walk.run(1.3)
+    walk.run(1.4)
     assert walk.robot.damped
     assert walk.said[-1][1].startswith("damping: the control loop stood still for 0.0")
 

@@ -59,12 +59,12 @@ def _explain(walk: Walk, contract: Contract, late: int) -> tuple[NDArray[np.int6
     for j, joint in enumerate(joints):
         power = max(float(np.square(torque[:, j]).mean()), 1e-9)
         rest = np.stack([_rest(joint, target[:, j], torque[:, j], sense, position, velocity) for sense in (1.0, -1.0)])
-        best = np.unravel_index(int(np.argmin(rest)), rest.shape)
+        backward, other = divmod(int(np.argmin(rest)), len(joints))
         # Another encoder must explain the torque well, and far better: joints that hardly move look alike.
-        if rest[best] > EXPLAINED * power or rest[best] > 0.25 * rest[0, j]:
-            best = (0, j)
-        sign[j], owner[j] = (1.0, -1.0)[int(best[0])], int(best[1])
-        left[j] = np.sqrt(rest[best] / power)
+        if rest[backward, other] > EXPLAINED * power or rest[backward, other] > 0.25 * rest[0, j]:
+            backward, other = 0, j
+        sign[j], owner[j] = (-1.0 if backward else 1.0), other
+        left[j] = np.sqrt(rest[backward, other] / power)
     return owner, sign, float(np.median(left))
 
 
@@ -113,7 +113,8 @@ def _gains(walk: Walk, contract: Contract, late: int, position: Array, velocity:
         if len(parts) < 20 or not parts.any(axis=0).all():
             continue
         fitted, _, _, _ = np.linalg.lstsq(parts, torque[free, j], rcond=None)
-        rest = np.linalg.norm(torque[free, j] - parts @ fitted) / max(np.linalg.norm(torque[free, j]), 1e-9)
+        size = float(np.linalg.norm(torque[free, j]))
+        rest = float(np.linalg.norm(torque[free, j] - parts @ fitted)) / max(size, 1e-9)
         if rest < FITS:
             factors[j] = fitted
     known = ~np.isnan(factors[:, 0])
