@@ -28,3 +28,21 @@ def test_playing_imports_no_manager_no_environment_and_no_torch(exported: Path) 
     ours = {name for name in modules if name.startswith("humoslope.")}
     assert {name for name in ours if not name.startswith(("humoslope.deploy", "humoslope.cli"))} == SHARED
     assert {name for name in ours if name.startswith("humoslope.cli.")} == {"humoslope.cli.play"}
+
+
+def test_what_runs_beside_a_robot_needs_no_torch_either() -> None:
+    code = "import sys, humoslope.cli.deploy, humoslope.cli.robot, humoslope.cli.doctor; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    packages = {name.partition(".")[0] for name in done.stdout.split()}
+    strange = {
+        "torch",
+        "rsl_rl",
+        "tensordict",
+        "mjbatch",
+        "mujoco_warp",
+        "warp",
+        "robots",
+        "tasks",
+        "unitree_interface",
+    }
+    assert not packages & strange

@@ -127,7 +127,7 @@ def run(arguments: list[str]) -> None:
             guardian.dismiss()
         link.close()
         _report(console, session, link)
-    _save(console, options, contract, session, out)
+        _save(console, options, contract, session, out)
     if session.state.reason not in ("stop was asked for", "the program was asked to end") and options.seconds is None:
         raise UserError(f"the motors were damped: {session.state.reason}.")
 

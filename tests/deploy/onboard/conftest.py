@@ -19,8 +19,8 @@ from humoslope.deploy.onboard.simulated import Faults, InProcessLink, SimulatedR
 
 SCRIPT = "0.5:start 3.6:lower 5:A 5:forward=0.625 5.3:release"
 """From the gantry: the robot walks after 5 s."""
-SHORT = "0.32:start 0.32:lower 0.7:A 0.7:forward=0.625 0.9:release"
-"""From the ground: the robot walks after 0.72 s, where the move takes 0.3 s."""
+SHORT = "0.4:start 0.4:lower 0.8:A 0.8:forward=0.625 1:release"
+"""From the ground: the robot walks after 0.8 s, where the move takes 0.3 s."""
 
 
 @dataclass

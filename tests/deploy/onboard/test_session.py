@@ -61,9 +61,9 @@ def test_the_same_export_walks_as_fast_as_in_play(
 ) -> None:
     walk = stage(hold_heading=True).run(3.0)
     start = walk.robot.world.root_pos[0]
-    walk.run(8.0)
-    trial = make_player(speed=0.5, seconds=7.0).run_trial(np.random.default_rng(0))
-    assert (walk.robot.world.root_pos[0] - start) / 5.0 == pytest.approx(trial.speed, rel=0.05)
+    walk.run(7.0)
+    trial = make_player(speed=0.5, seconds=6.0).run_trial(np.random.default_rng(0))
+    assert (walk.robot.world.root_pos[0] - start) / 4.0 == pytest.approx(trial.speed, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_the_motors_are_damped_soon(
         (lambda walk: fault(walk, error=7), "the motor of left_hip_pitch_joint reports error 7"),
         (lambda walk: fault(walk, mode_machine=6), "the robot now says mode_machine 6"),
         (lambda walk: fault(walk, corrupt=1.0), "the robot has been silent for"),
-        (lambda walk: walk.robot.world.push(np.array([3.0, 0.0, 0.0])), "the robot leans by"),
+        (lambda walk: walk.robot.world.push(np.array([0.0, 4.0, 0.0])), "the robot leans by"),
     ],
 )
 def test_a_fault_on_the_way_damps_the_motors(
@@ -99,7 +99,7 @@ def test_a_fault_on_the_way_damps_the_motors(
     walk = stage().run(1.0)
     assert walk.session.state.mode is Mode.WALK
     change(walk)
-    walk.run(2.0)
+    walk.run(2.2 if "leans" in said else 1.25)
     assert walk.session.state.reason.startswith(said)
     assert walk.robot.damped
 
@@ -109,7 +109,7 @@ def fault(walk: Stage, **changes: Any) -> None:
 
 
 def test_lost_and_absurd_messages_now_and_then_do_not_end_a_walk(stage: Callable[..., Stage]) -> None:
-    walk = stage(faults=Faults(drop=0.3, corrupt=0.1)).run(3.0)
+    walk = stage(faults=Faults(drop=0.3, corrupt=0.1)).run(2.0)
     assert walk.session.state.mode is Mode.WALK
     assert not walk.session.gate.reason
 
@@ -120,7 +120,7 @@ def test_lost_and_absurd_messages_now_and_then_do_not_end_a_walk(stage: Callable
         (Faults(mode_machine=6), "the robot says mode_machine 6, but this model is 5"),
         (Faults(imu_tilt_deg=(40.0, 0.0)), "the robot leans by 40 degrees, more than 30"),
         (Faults(silent_at_s=0.0), "the robot has not been heard of"),
-        (Faults(flip="left_knee_joint"), "left_knee_joint is 1.3"),
+        (Faults(flip="left_knee_joint"), "left_knee_joint is 1."),
         (Faults(temperature_c=95.0), "the motor of left_hip_pitch_joint has 95 degrees"),
     ],
 )
@@ -140,7 +140,7 @@ def test_nothing_is_sent_while_somebody_else_commands_the_motors(stage: Callable
 
 
 def test_a_dry_run_computes_and_sends_nothing(stage: Callable[..., Stage]) -> None:
-    run = stage(dry_run=True).run(0.9)
+    run = stage(dry_run=True).run(1.0)
     assert run.session.state.mode is Mode.WALK
     assert np.abs(run.session.ticks.action[-1]).max() > 0.0
     run.session.stop("stop")
@@ -149,13 +149,13 @@ def test_a_dry_run_computes_and_sends_nothing(stage: Callable[..., Stage]) -> No
 
 def test_a_loop_that_stands_still_is_noticed_and_damped_for_good(stage: Callable[..., Stage]) -> None:
     walk = stage().run(1.0)
-    walk.link.run(0.04)
+    walk.link.run(0.03)  # the last tick was 0.02 s before
     assert not walk.session.watch()
-    walk.link.run(0.03)
+    walk.link.run(0.02)
     assert walk.session.watch()
     walk.link.run(0.01)
     assert walk.robot.damped
-    walk.run(1.3)
+    walk.run(1.4)
     assert walk.robot.damped
     assert walk.said[-1][1].startswith("damping: the control loop stood still for 0.0")
 

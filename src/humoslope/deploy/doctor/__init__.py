@@ -2,5 +2,5 @@
 
 Three independent questions. Does the network give the recorded actions for the observations that the contract makes of
 the recorded measurements (`network`)? Do torques, targets and encoders fit together by the contract's gains (`motors`)?
-Does the IMU turn as the standing leg says (`imu`)?
+Does the IMU agree with the legs that carry it (`imu`)?
 """

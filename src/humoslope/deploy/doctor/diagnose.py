@@ -27,5 +27,5 @@ def diagnose(log: Path, folder: Path, contract: Contract, policy: OnnxPolicy) ->
     return [
         network.check(walk, contract, policy),
         *motors.check(walk, contract),
-        *imu.check(walk, contract, Kinematics(folder, contract)),
+        *imu.check(walk, contract, folder, Kinematics(folder, contract)),
     ]

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
-from humoslope.deploy.contract import Contract
+from humoslope.deploy.contract import Contract, Joint
 from humoslope.deploy.doctor.walk import Finding, Walk
 from humoslope.deploy.quantities import Array
 
 GAIN = 0.1
 """Relative error of a gain up to which it counts as the contract's."""
+EXPLAINED = 0.04
+"""Share of a motor's torque, as a mean square, that an encoder of another joint may leave unexplained."""
 FITS = 0.5
 """Share of a joint's torque, as a root mean square, that may stay unexplained."""
 SHARE = 0.95
@@ -20,16 +24,16 @@ LATEST = 5
 
 
 def check(walk: Walk, contract: Contract) -> list[Finding]:
-    """Checks delay, encoders, gains and velocities, in this order; each takes the ones before as found."""
+    """Checks velocities, delay, encoders and gains; each takes the ones before as found."""
+    factor, velocities = _velocity(walk, contract)
     if not np.abs(walk.torque).max() > 0.0:
-        return [Finding("motors", False, "no torques were recorded; nothing can be said")]
-    late, delay = _delay(walk, contract)
-    owner, sign = _encoders(walk, contract, late)
-    findings = [delay, _encoder_finding(contract, owner, sign)]
-    position, velocity = walk.joint_pos[:, owner] * sign, walk.joint_vel[:, owner] * sign
-    findings.append(_gains(walk, contract, late, position, velocity))
-    findings.append(_velocity(walk, contract))
-    return findings
+        return [velocities, Finding("motors", False, "no torques were recorded; nothing more can be said")]
+    walk = dataclasses.replace(walk, joint_vel=walk.joint_vel / factor)
+    explained = [_explain(walk, contract, late) for late in range(LATEST + 1)]
+    late = int(np.argmin([rest for _, _, rest in explained]))
+    owner, sign, _ = explained[late]
+    gains = _gains(walk, contract, late, walk.joint_pos[:, owner] * sign, walk.joint_vel[:, owner] * sign)
+    return [velocities, _delay_finding(contract, late), _encoder_finding(contract, owner, sign), gains]
 
 
 def _targets(walk: Walk, late: int) -> tuple[Array, slice]:
@@ -39,59 +43,36 @@ def _targets(walk: Walk, late: int) -> tuple[Array, slice]:
     return walk.target[: len(walk) - 1 - late], rows
 
 
-def _expected(contract: Contract, target: Array, position: Array, velocity: Array) -> Array:
-    kp, kd, limit = (
-        np.array([getattr(joint, name) for joint in contract.joints])
-        for name in ("stiffness_nm_rad", "damping_nms_rad", "effort_limit_nm")
-    )
-    return np.clip(kp * (target - position) - kd * velocity, -limit, limit)
-
-
-def _unexplained(torque: Array, expected: Array) -> Array:
-    """Root mean square of the difference over that of the torque, for each joint, [J]."""
-    size = np.sqrt(np.square(torque).mean(axis=0))
-    return np.asarray(np.sqrt(np.square(torque - expected).mean(axis=0)) / np.maximum(size, 1e-6))
-
-
-def _delay(walk: Walk, contract: Contract) -> tuple[int, Finding]:
+def _delay_finding(contract: Contract, late: int) -> Finding:
     dt = 1e3 * contract.timing.control_step_s
-    rest = []
-    for late in range(LATEST + 1):
-        target, rows = _targets(walk, late)
-        expected = _expected(contract, target, walk.joint_pos[rows], walk.joint_vel[rows])
-        rest.append(float(np.median(_unexplained(walk.torque[rows], expected))))
-    late = int(np.argmin(rest))
-    if late == 0:
-        return 0, Finding("delay of commands", False, f"targets act within {dt:g} ms of the message that shows it")
-    return late, Finding(
-        "delay of commands",
-        True,
-        f"from a target to the message that shows its torque it takes {late * dt:g} to {(late + 1) * dt:g} ms, "
-        f"instead of up to {dt:g} ms",
-    )
+    words = f"from a target to the message that shows its torque it takes {late * dt:g} to {(late + 1) * dt:g} ms"
+    return Finding("delay", late > 0, words if late == 0 else f"{words}, instead of up to {dt:g} ms")
 
 
-def _encoders(walk: Walk, contract: Contract, late: int) -> tuple[NDArray[np.int64], Array]:
-    """The reported encoder [J] and its sense [J] that explain the torque of each joint best."""
+def _explain(walk: Walk, contract: Contract, late: int) -> tuple[NDArray[np.int64], Array, float]:
+    """Explains torques by encoders: the encoder [J] and its sense [J] for each motor, and the share of the torque, a
+    root mean square, that stays unexplained (median over joints)."""
     joints = contract.joints
     target, rows = _targets(walk, late)
     torque, position, velocity = walk.torque[rows], walk.joint_pos[rows], walk.joint_vel[rows]
-    owner, sign = np.arange(len(joints)), np.ones(len(joints))
+    owner, sign, left = np.arange(len(joints)), np.ones(len(joints)), np.zeros(len(joints))
     for j, joint in enumerate(joints):
-        best = np.inf
-        for sense in (1.0, -1.0):
-            expected = joint.stiffness_nm_rad * (target[:, j : j + 1] - sense * position)
-            expected = np.clip(
-                expected - joint.damping_nms_rad * sense * velocity, -joint.effort_limit_nm, joint.effort_limit_nm
-            )
-            rest = np.square(torque[:, j : j + 1] - expected).mean(axis=0)
-            own = rest[j]
-            other = int(np.argmin(rest))
-            # Another encoder must be better by far: joints that hardly move look alike.
-            candidate, value = (other, rest[other]) if rest[other] < 0.25 * own else (j, own)
-            if value < best * (1.0 if sense > 0.0 else 0.25):
-                best, owner[j], sign[j] = value, candidate, sense
-    return owner, sign
+        power = max(float(np.square(torque[:, j]).mean()), 1e-9)
+        rest = np.stack([_rest(joint, target[:, j], torque[:, j], sense, position, velocity) for sense in (1.0, -1.0)])
+        backward, other = divmod(int(np.argmin(rest)), len(joints))
+        # Another encoder must explain the torque well, and far better: joints that hardly move look alike.
+        if rest[backward, other] > EXPLAINED * power or rest[backward, other] > 0.25 * rest[0, j]:
+            backward, other = 0, j
+        sign[j], owner[j] = (-1.0 if backward else 1.0), other
+        left[j] = np.sqrt(rest[backward, other] / power)
+    return owner, sign, float(np.median(left))
+
+
+def _rest(joint: Joint, target: Array, torque: Array, sense: float, position: Array, velocity: Array) -> Array:
+    """Mean square of what each encoder [J], counting in this sense, leaves unexplained of a motor's torque [T]."""
+    pull = joint.stiffness_nm_rad * (target[:, None] - sense * position) - joint.damping_nms_rad * sense * velocity
+    limited = np.clip(pull, -joint.effort_limit_nm, joint.effort_limit_nm)
+    return np.asarray(np.square(torque[:, None] - limited).mean(axis=0))
 
 
 def _encoder_finding(contract: Contract, owner: NDArray[np.int64], sign: Array) -> Finding:
@@ -132,7 +113,8 @@ def _gains(walk: Walk, contract: Contract, late: int, position: Array, velocity:
         if len(parts) < 20 or not parts.any(axis=0).all():
             continue
         fitted, _, _, _ = np.linalg.lstsq(parts, torque[free, j], rcond=None)
-        rest = np.linalg.norm(torque[free, j] - parts @ fitted) / max(np.linalg.norm(torque[free, j]), 1e-9)
+        size = float(np.linalg.norm(torque[free, j]))
+        rest = float(np.linalg.norm(torque[free, j] - parts @ fitted)) / max(size, 1e-9)
         if rest < FITS:
             factors[j] = fitted
     known = ~np.isnan(factors[:, 0])
@@ -153,12 +135,15 @@ def _gains(walk: Walk, contract: Contract, late: int, position: Array, velocity:
     return Finding("gains", wrong or bool(off), words)
 
 
-def _velocity(walk: Walk, contract: Contract) -> Finding:
-    """Whether velocities are the derivatives of positions: slope of one over the other, over all joints."""
+def _velocity(walk: Walk, contract: Contract) -> tuple[float, Finding]:
+    """How many times the rates of positions the velocities are, over all joints; 1 where that is about right."""
     dt = contract.timing.control_step_s
     # Over a control step the position changes by the mean velocity, of which the trapezium is a good estimate.
     change = np.diff(walk.joint_pos, axis=0) / dt
     mean = 0.5 * (walk.joint_vel[1:] + walk.joint_vel[:-1])
-    slope = float((change * mean).sum() / max((change * change).sum(), 1e-12))
+    slope = float((change * mean).sum() / max(float((change * change).sum()), 1e-12))
     wrong = abs(slope - 1.0) > 0.25
-    return Finding("joint velocities", wrong, f"are {slope:.2f} times the rates of the positions")
+    usable = wrong and abs(slope) > 0.01
+    return slope if usable else 1.0, Finding(
+        "joint velocities", wrong, f"are {slope:.2f} times the rates of the positions"
+    )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from humoslope.deploy.contract import Contract, ObservationGroup
-from humoslope.deploy.controller import Observer, OnnxPolicy
+from humoslope.deploy.controller import Input, Observer, OnnxPolicy
 from humoslope.deploy.doctor.walk import Finding, Walk
 from humoslope.deploy.quantities import Array, Measured
 
@@ -122,7 +122,7 @@ def mistakes(contract: Contract) -> Iterator[Mistake]:
             yield Mistake(f"{what} {late} control steps late", walk=_late(fields, late))
     for words, order in (
         ("left and right joints are exchanged", _mirrored(names)),
-        ("joints are in alphabetical order", np.argsort(names)),
+        ("joints are in alphabetical order", sorted(range(len(names)), key=lambda joint: names[joint])),
         ("joints are in the order of breadth, left and right in turn", _breadth(names)),
     ):
         yield Mistake(words, walk=_permuted(order))
@@ -141,7 +141,9 @@ def _earlier(values: Array, steps: int) -> Array:
     return np.concatenate([np.repeat(values[:1], steps, axis=0), values[:-steps]])
 
 
-def _permuted(order: Array, fields: tuple[str, ...] = ("joint_pos", "joint_vel", "action")) -> Callable[[Walk], Walk]:
+def _permuted(
+    order: Sequence[int], fields: tuple[str, ...] = ("joint_pos", "joint_vel", "action")
+) -> Callable[[Walk], Walk]:
     index = np.asarray(order, dtype=np.int64)
 
     def change(walk: Walk) -> Walk:
@@ -154,12 +156,12 @@ def _xyzw(walk: Walk) -> Walk:
     return dataclasses.replace(walk, quat_w=walk.quat_w[:, [1, 2, 3, 0]])
 
 
-def _mirrored(names: list[str]) -> Array:
+def _mirrored(names: list[str]) -> list[int]:
     other = [name.replace("left", "\0").replace("right", "left").replace("\0", "right") for name in names]
-    return np.array([names.index(name) for name in other])
+    return [names.index(name) for name in other]
 
 
-def _breadth(names: list[str]) -> Array:
+def _breadth(names: list[str]) -> list[int]:
     """Joints by their depth below the root, as Isaac Lab lists those of a G1: left, right, waist in turn."""
     chains: dict[str, list[str]] = {}
     for name in names:
@@ -170,7 +172,7 @@ def _breadth(names: list[str]) -> Array:
     depth = {
         name: k + (waist if key.endswith("arm") else 0) for key, chain in chains.items() for k, name in enumerate(chain)
     }
-    return np.array(sorted(range(len(names)), key=lambda joint: (depth[names[joint]], joint)))
+    return sorted(range(len(names)), key=lambda joint: (depth[names[joint]], joint))
 
 
 def _mistaken(group: ObservationGroup, mistake: Mistake) -> ObservationGroup:
@@ -180,7 +182,7 @@ def _mistaken(group: ObservationGroup, mistake: Mistake) -> ObservationGroup:
     return dataclasses.replace(group, terms=terms)
 
 
-def _laid_out(observation: Array, group: ObservationGroup, mistake: Mistake) -> Array:
+def _laid_out(observation: Input, group: ObservationGroup, mistake: Mistake) -> Input:
     """An observation of the contract's layout in the mistake's."""
     if not (mistake.newest_first or mistake.interleaved):
         return observation
@@ -190,5 +192,6 @@ def _laid_out(observation: Array, group: ObservationGroup, mistake: Mistake) -> 
         frames = observation[start : start + group.history * size].reshape(group.history, size)
         terms.append(frames[::-1] if mistake.newest_first else frames)
         start += group.history * size
-    parts = np.concatenate(terms, axis=1).ravel() if mistake.interleaved else [f.ravel() for f in terms]
-    return np.concatenate(parts) if isinstance(parts, list) else parts
+    if mistake.interleaved:
+        return np.concatenate(terms, axis=1).ravel()
+    return np.concatenate([frames.ravel() for frames in terms])

@@ -132,7 +132,7 @@ class Session:
         self.hindrance: str | None = "the robot has not been heard of"
         self.ticks = Ticks()
         self._wait_s = max(0.0, contract.timing.observation_age_s - latency_s)
-        self._begun = clock()
+        self._first_heard: float | None = None
         self._heard: float | None = None  # time of the newest message
         self._count = -1
         self._beat = clock()
@@ -152,6 +152,7 @@ class Session:
         reading = self._link.read()
         if reading is not None and reading.count != self._count:
             self._count, self._heard, self._last = reading.count, now, reading
+            self._first_heard = now if self._first_heard is None else self._first_heard
         remote = Remote() if self._last is None else self._last.remote
         requests = self.pilot.requests(remote)
         self.hindrance = self._hindrance(now)
@@ -204,11 +205,11 @@ class Session:
             self._enter(State(Mode.DAMPING, self._clock(), reason=reason))
 
     def _hindrance(self, now: float) -> str | None:
-        if self._last is None:
+        if self._last is None or self._first_heard is None:
             return "the robot has not been heard of"
         if self.state.mode is Mode.WAIT and self._link.foreign():
             return "somebody else commands the motors; put the robot into debug mode (L2 and R2), end other programs"
-        if now - self._begun < LISTEN_S:
+        if now - self._first_heard < LISTEN_S:
             return "listening whether somebody else commands the motors"
         return guards.unfit_to_start(self._last, self.contract, self._limits, self._mode_machine)
 

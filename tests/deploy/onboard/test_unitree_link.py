@@ -1,0 +1,251 @@
+"""Over Unitree's own DDS, on the loopback interface; and what is said where it is not installed.
+
+Messages are waited for, not timed: a slow machine makes these tests slow, and not wrong.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from humoslope.cli import main
+from humoslope.deploy.contract import Contract
+from humoslope.deploy.onboard.messages import Reading, Remote
+from humoslope.deploy.onboard.pace import pace_on
+from humoslope.deploy.onboard.unitree_link import UnitreeRobot, open_interface
+from humoslope.errors import UserError
+from humoslope.replay.rollout import load_rollout
+
+needs_sdk = pytest.mark.skipif(find_spec("unitree_interface") is None, reason="needs the extra [robot]")
+LONG_S = 120.0
+"""Longest time to wait for anything, s."""
+
+
+def test_a_missing_sdk_is_one_sentence_with_the_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "unitree_interface", None)
+    with pytest.raises(UserError) as error:
+        open_interface("lo", "")
+    assert "pip install 'humoslope[robot]'" in str(error.value)
+    assert str(error.value).count(".") <= 2
+
+
+def test_an_interface_that_is_not_there_is_said() -> None:
+    with pytest.raises(UserError, match=r"there is no network interface 'eth9'; there are: .*lo"):
+        open_interface("eth9", "")
+
+
+def test_a_simulated_robot_never_speaks_on_a_network(contract: Contract) -> None:
+    with pytest.raises(UserError, match="a simulated robot speaks on the loopback interface 'lo' only, not on 'eth0'"):
+        UnitreeRobot(contract, "eth0", "")
+    with pytest.raises(UserError, match="--slower is for a simulated robot on 'lo'; a real one does not wait"):
+        pace_on("eth0", 2.0)
+    with pytest.raises(UserError, match="--slower 0.5 must be between 1 and 100"):
+        pace_on("lo", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["deploy", "EXPORT", "--interface", "eth9"], "there is no network interface 'eth9'"),
+        (["deploy", "EXPORT", "--interface", "lo", "--speed", "9"], "--speed 9 must be between 0 and 0.8 m/s"),
+        (["deploy", "EXPORT", "--interface", "lo", "--limit.slew-rad-s", "0"], "slew_rad_s is 0; it must be positive"),
+        (["deploy", "nowhere", "--interface", "lo"], "export folder 'nowhere' does not exist"),
+        (["robot", "EXPORT", "--script", "start"], "script: 'start' must be like 1:start"),
+        (["robot", "EXPORT", "--grade", "80"], "up to 60 degrees"),
+        (["robot", "EXPORT", "--interface", "eth0"], "the loopback interface 'lo' only"),
+        (["robot", "EXPORT", "--fault.flip", "left_nee_joint"], "joint 'left_nee_joint' does not exist; did you mean"),
+    ],
+)
+def test_bad_input_gets_one_sentence(exported: Path, arguments: list[str], said: str) -> None:
+    """In a process of its own: these verbs move the standard output aside."""
+    done = subprocess.run(
+        [*VERB, *(str(exported) if word == "EXPORT" else word for word in arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+VERB = [sys.executable, "-c", "import sys; from humoslope.cli import main; sys.exit(main())"]
+
+
+def test_an_export_with_another_network_is_refused(spoil: Callable[..., Path]) -> None:
+    folder = spoil()
+    network = folder / "exported" / "policy.onnx"
+    network.write_bytes(network.read_bytes() + b" ")
+    assert main(["deploy", str(folder), "--interface", "lo"]) == 2
+
+
+# With the SDK.
+
+
+@pytest.fixture
+def tag() -> str:
+    """Participants with other tags, in tests beside this one, are not heard."""
+    return f"test-{uuid.uuid4().hex[:12]}"
+
+
+@pytest.fixture
+def start(exported: Path, tag: str) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """start("robot", "--grade", "20"): the verb as a process on the loopback interface, ended after the test."""
+    running: list[subprocess.Popen[str]] = []
+
+    def make(verb: str, *arguments: str) -> subprocess.Popen[str]:
+        command = [*VERB, verb, str(exported), "--interface", "lo", "--tag", tag, "--slower", "4", *arguments]
+        running.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        return running[-1]
+
+    yield make
+    for process in running:
+        if process.poll() is None:
+            process.terminate()
+        process.communicate(timeout=LONG_S)
+
+
+TOLERANT = ("--limit.silent-s", "2", "--limit.missed-ticks", "50")
+"""For machines that are busy: the times are tested without processes."""
+
+
+def wait_for(process: subprocess.Popen[str], word: str) -> str:
+    """Reads lines of a process until one has the word."""
+    assert process.stdout is not None
+    end = time.monotonic() + LONG_S
+    while time.monotonic() < end:
+        line = process.stdout.readline()
+        if word in line:
+            return line
+        if not line:
+            break
+    raise AssertionError(f"'{word}' was not said; {process.stderr.read() if process.stderr else ''}")
+
+
+@needs_sdk
+def test_messages_arrive_in_both_directions_as_they_were_sent(exported: Path, contract: Contract, tag: str) -> None:
+    code = f"""
+import sys, time
+sys.path[:0] = {sys.path!r}
+from pathlib import Path
+import numpy as np
+from humoslope.deploy import contract as contracts
+from humoslope.deploy.onboard.messages import Command
+from humoslope.deploy.onboard.unitree_link import UnitreeLink
+contract = contracts.read(Path(sys.argv[1]))
+link = UnitreeLink(contract, "lo", sys.argv[2])
+while (reading := link.read()) is None or "A" not in reading.remote.buttons:
+    time.sleep(0.01)
+assert not link.foreign()
+rows = np.arange(29.0)
+link.write(Command(0.01 * rows, rows, 0.5 * rows))
+sys.stderr.write(repr([reading.quat_w.tolist(), reading.joint_pos.tolist(), reading.temperature.tolist(),
+    reading.mode_machine, reading.remote.forward, reading.remote.turn, sorted(reading.remote.buttons)]) + "\\n")
+while True:
+    time.sleep(0.1)
+"""
+    robot = UnitreeRobot(contract, "lo", tag)
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(exported), tag], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        sent = Reading(
+            count=1,
+            quat_w=np.array([0.5, 0.5, -0.5, 0.5]),
+            ang_vel_b=np.array([0.1, 0.2, 0.3]),
+            joint_pos=0.01 * np.arange(29.0),
+            joint_vel=np.zeros(29),
+            torque=np.zeros(29),
+            temperature=30.0 + np.arange(29.0),
+            errors=np.zeros(29),
+            mode_machine=5,
+            remote=Remote(),
+        )
+        end, heard = time.monotonic() + LONG_S, None
+        while heard is None and time.monotonic() < end:
+            robot.say(sent)
+            robot.press(Remote(frozenset({"A"}), 0.5, 0.0, -0.25))
+            heard = robot.hear()
+            time.sleep(0.005)
+        assert heard is not None
+        rows = np.arange(29.0)
+        np.testing.assert_allclose(heard.target, 0.01 * rows, rtol=1e-6)
+        np.testing.assert_allclose(heard.stiffness, rows, rtol=1e-6)
+        np.testing.assert_allclose(heard.damping, 0.5 * rows, rtol=1e-6)
+    finally:
+        process.kill()
+        _, said = process.communicate()
+    line = next(line for line in said.splitlines() if line.startswith("[["))
+    quat, joints, temperature, build, forward, turn, buttons = ast.literal_eval(line)
+    np.testing.assert_allclose(quat, sent.quat_w)
+    np.testing.assert_allclose(joints, sent.joint_pos, rtol=1e-6)
+    np.testing.assert_allclose(temperature, sent.temperature)
+    assert (build, forward, turn, buttons) == (5, 0.5, -0.25, ["A"])
+
+
+@needs_sdk
+def test_two_processes_start_walk_and_stop(start: Callable[..., Any], tmp_path: Path) -> None:
+    out, walk = tmp_path / "robot.json", tmp_path / "walk.npz"
+    robot = start("robot", "--script", "1:start 4.2:lower 6:A 6:forward=0.6 6.3:release 9:select", "--out", str(out))
+    wait_for(robot, "simulated")
+    deploy = start("deploy", "--out", str(walk), "--hold-heading", *TOLERANT)
+    for word in ("zero torque", "move", "hold", "walk", "damping: stop was asked for", "wrote"):
+        wait_for(deploy, word)
+    assert deploy.wait(timeout=LONG_S) == 0
+    wait_for(robot, "motors damped")
+    robot.terminate()
+    robot.wait(timeout=LONG_S)
+    happened = json.loads(out.read_text())
+    assert [event["motors"] for event in happened["events"]] == ["limp", "held", "damped"]
+    assert happened["events"][-1]["x"] > 0.5
+    rollout = load_rollout(walk)
+    assert rollout.columns.root_pos_w[-1, 0] > 0.5
+
+
+@needs_sdk
+@pytest.mark.parametrize("ending", ["terminated", "killed", "guardian", "silent"])
+def test_whatever_ends_the_program_the_robot_is_damped(start: Callable[..., Any], tmp_path: Path, ending: str) -> None:
+    fault = ("--fault.silent-at-s", "4") if ending == "silent" else ()
+    robot = start("robot", "--script", "1:start", *fault)
+    wait_for(robot, "simulated")
+    deploy = start("deploy", "--out", str(tmp_path / "walk.npz"), *TOLERANT)
+    wait_for(deploy, "move")
+    wait_for(robot, "motors held")
+    if ending == "terminated":
+        deploy.terminate()
+    elif ending == "killed":
+        deploy.kill()
+    elif ending == "guardian":
+        children = Path(f"/proc/{deploy.pid}/task/{deploy.pid}/children").read_text().split()
+        os.kill(int(children[0]), signal.SIGKILL)
+    wait_for(robot, "motors damped")
+    code = deploy.wait(timeout=LONG_S)
+    assert code == {"terminated": 0, "killed": -9, "guardian": 2, "silent": 2}[ending]
+
+
+@needs_sdk
+def test_a_second_program_does_not_join_in(start: Callable[..., Any], tmp_path: Path) -> None:
+    robot = start("robot", "--script", "1:start")
+    wait_for(robot, "simulated")
+    first = start("deploy", "--out", str(tmp_path / "first.npz"), *TOLERANT)
+    wait_for(first, "move")
+    second = start("deploy", "--out", str(tmp_path / "second.npz"), *TOLERANT)
+    wait_for(second, "not yet: somebody else commands the motors; put the robot into debug mode")
+    second.terminate()
+    assert second.wait(timeout=LONG_S) == 0
+    assert not (tmp_path / "second.npz").exists()
