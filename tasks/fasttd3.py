@@ -11,7 +11,8 @@ its own; its authors work in Isaac Lab with what they find there.
 
 Departures from Isaac Lab's task, beside worlds, robot and commands: the robot has wrists and no fingers; the height
 scan is the 49 heights that Stage I's critic sees; a fall is contact of anything but feet and shins, not of the torso
-alone; and an episode is cut off at the edge of a tile.
+alone, or a root lower than in URL-TerrainRelative, by which `humoslope play` counts falls; and an episode is cut off at
+the edge of a tile.
 """
 
 from __future__ import annotations
@@ -69,7 +70,6 @@ def fasttd3_isaac_lab() -> TaskCfg:
     cfg = fasttd3_terrain_relative()
     cfg.env.rewards = isaac_lab_rewards()
     cfg.env.observations.critic = isaac_lab_critic_group()
-    cfg.env.terminations.root_too_low = None
     cfg.env.terminations.tilted = None
     cfg.env.terminations.upper_contact = TerminationTermCfg(isaac_lab.upper_contact, {"force": 1.0})
     return cfg

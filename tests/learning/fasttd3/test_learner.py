@@ -1,4 +1,4 @@
-"""FastTD3 finds the known values and the best action of a small problem, explores within bounds, and goes on as it was."""
+"""FastTD3 finds known values and the best action of a small problem, explores within bounds, and goes on as it was."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def values_of(learner: FastTd3, action: float) -> list[list[float]]:
 
 @pytest.mark.parametrize(("falls", "clipped"), [(False, True), (True, False)])
 def test_it_learns_the_known_values_and_the_best_action(falls: bool, clipped: bool) -> None:
-    """Time-outs taken for falls, or followed by the next episode, would lower the values of the first case by 1 to 3."""
+    """Time-outs taken for falls, or followed by the next episode, would lower the first case's values by 1 to 3."""
     torch.manual_seed(0)
     world = Wheel(falls)
     learner = FastTd3(world, small(clipped_double_q=clipped))

@@ -140,7 +140,7 @@ def test_every_step_that_is_held_is_drawn(steps: int) -> None:
     drawn = set(told.replay.draw(4000, 3, GAMMA).action.squeeze(1).tolist())
     for episodes in told.told:
         actions = [action for episode in episodes for action in episode.actions]
-        # Of a full ring: the newest frame, the oldest ones that histories need, and those of episodes that were cut off.
+        # All but the newest frame, the oldest ones that histories need, and those in which episodes were cut off.
         least = 37 if steps == 100 else steps - 1 - 3 - 2
         assert set(actions[-least:]) <= drawn
         if steps == 10:

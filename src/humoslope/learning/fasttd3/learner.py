@@ -72,7 +72,7 @@ class FastTd3:
         self.replay = _make_replay(env, cfg, num_actions)
         self._mirror = Mirror(env) if cfg.symmetry else None
         self._actor_optimizer, self._critic_optimizer = (
-            torch.optim.AdamW(network.parameters(), lr=cfg.learning_rate, weight_decay=cfg.weight_decay)
+            torch.optim.AdamW(network.parameters(), lr=cfg.learning_rate, weight_decay=cfg.weight_decay, fused=True)
             for network in (self.policy, self.critics)
         )
         self._exploration_std = self._drawn_std(env.num_envs)
