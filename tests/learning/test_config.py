@@ -30,6 +30,11 @@ SCALE = {
     "agent.hidden_dims",
     "agent.num_learning_epochs",
     "agent.mixed_precision",
+    # FastTD3, whose authors have other horizons and supports at smaller scale.
+    *(
+        f"agent.{name}"
+        for name in ("critic_hidden_dims", "num_atoms", "gamma", "num_updates", "batch_size", "buffer_steps")
+    ),
 }
 
 

@@ -120,6 +120,9 @@ class ToyTd3:
     def synchronise(self) -> None:
         pass
 
+    def remarks(self) -> list[str]:
+        return []
+
     def state_dict(self) -> dict[str, Any]:
         return {"critic": self.critic.state_dict(), "optimizer": self.optimizer.state_dict(), "taken": self.taken}
 

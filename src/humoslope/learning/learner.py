@@ -77,6 +77,9 @@ class Learner(Protocol):
     def synchronise(self) -> None:
         """Gives every process of a distributed run the weights of the first one; nothing to do in a single one."""
 
+    def remarks(self) -> list[str]:
+        """Sentences that the user should read, since the last call: warnings, and what a resumed run starts without."""
+
     def state_dict(self) -> dict[str, Any]:
         """Everything beyond the policy that a resumed run needs (critics, optimisers, counters), as tensors and plain
         types."""

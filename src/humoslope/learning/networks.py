@@ -109,3 +109,28 @@ def mlp(obs: TensorDict, groups: tuple[str, ...], num_actions: int, **settings: 
 def cnn(obs: TensorDict, groups: tuple[str, ...], num_actions: int, **settings: Any) -> torch.nn.Module:
     """rsl_rl's CNN for groups of images [N, C, H, W] beside vectors; `settings` are its own arguments."""
     return CNNModel(obs, {"actor": list(groups)}, "actor", num_actions, **settings)
+
+
+class Scale(torch.nn.Module):
+    """Multiplies by a constant."""
+
+    def __init__(self, factor: float) -> None:
+        super().__init__()
+        self.factor = factor
+
+    def forward(self, x: Tensor) -> Tensor:
+        """`x` times the factor."""
+        return x * self.factor
+
+
+@network("tanh-mlp")
+def tanh_mlp(
+    obs: TensorDict, groups: tuple[str, ...], num_actions: int, bound: float, **settings: Any
+) -> torch.nn.Module:
+    """rsl_rl's MLP with actions within +-`bound`, close to zero at first; `settings` are its own arguments."""
+    model = Network(obs, {"actor": list(groups)}, "actor", num_actions, **settings)
+    last = model.mlp[-1]
+    torch.nn.init.normal_(last.weight, std=0.01)  # as in FastTD3
+    torch.nn.init.zeros_(last.bias)
+    model.mlp.extend([torch.nn.Tanh(), Scale(bound)])
+    return model

@@ -111,6 +111,10 @@ class PpoLearner(OnPolicyRunner):
         if self.is_distributed:
             self.alg.broadcast_parameters()
 
+    def remarks(self) -> list[str]:
+        """Nothing to remark."""
+        return []
+
     def state_dict(self) -> dict[str, Any]:
         """Critic and optimiser."""
         state = self.alg.save()

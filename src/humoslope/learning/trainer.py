@@ -93,6 +93,7 @@ class Trainer:
             return True
         if not self._goes_on:
             self.start_episodes()
+        self._report_learner()
         curves = CurveWriter(self.run_dir, self.cfg.agent)
         line = ProgressLine(self._console, first, last)
         try:
@@ -103,6 +104,7 @@ class Trainer:
                     curves.write(self.iteration - 1, values)
                     line.show(self.iteration - 1, values)
                     self._report_physics(values)
+                    self._report_learner()
                     (stopping,) = any_process((interrupt.requested,), self.env.device)
                     if stopping or self._is_saved_now(last):
                         self._save(curves)
@@ -356,7 +358,17 @@ class Trainer:
                 f"the policy of checkpoint '{path}' has hidden layers of {widths}, this run's of {own}; "
                 f"add --agent.hidden-dims {' '.join(map(str, widths))}."
             )
+        bound, own_bound = (spec.settings.get("bound") for spec in (trained, ours))
+        if bound != own_bound:
+            raise UserError(
+                f"the policy of checkpoint '{path}' has actions of at most {bound:g}, this run's of {own_bound:g}; "
+                f"add --agent.action-bound {bound:g}."
+            )
         load_weights(self.learner.policy, state, path)
+
+    def _report_learner(self) -> None:
+        for remark in self.learner.remarks():
+            self._console.print(f"[yellow]{remark}[/yellow]", soft_wrap=True, highlight=False)
 
     def _report_physics(self, values: dict[str, float]) -> None:
         # The consoles of all processes but the first are quiet, but a warning of any of them matters.
