@@ -9,7 +9,7 @@ import torch
 
 from humoslope.errors import UserError
 from humoslope.learning.config import AgentCfg
-from humoslope.ranges import Finite, NotNegative, NotNegativeSpan, Positive, Range, Share, check_fields
+from humoslope.ranges import Finite, NotNegative, NotNegativeSpan, Positive, Range, Share
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv
@@ -93,7 +93,6 @@ class FastTd3Cfg(AgentCfg):
     def check(self) -> None:
         """Raises UserError if a value is impossible."""
         super().check()
-        check_fields("agent", self)
         if self.v_min >= self.v_max:
             raise UserError(f"agent.v_min {self.v_min:g} must be less than v_max {self.v_max:g}.")
         for name in ("hidden_dims", "critic_hidden_dims"):
