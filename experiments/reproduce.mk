@@ -17,7 +17,7 @@ SWEEP := $(METHODS:%=$(OUT)/sweep/%.json)
 # The baseline learns as Stage I does, so that the two differ in rewards and in what the critic sees alone. Its rewards
 # find no first step on so few samples (log.md, "The baseline"): it takes over the actor that Stage I has after WALKS
 # iterations, which has just begun to walk in the full harness.
-RECIPE := --agent.init-std 0.8 --agent.obs-normalization --agent.symmetry --agent.entropy-coef 0.003 --agent.critic-warmup-iterations 40
+RECIPE := --agent.init-std 0.8 --agent.obs-normalization --agent.symmetry --agent.entropy-coef 0.003 --agent.final-entropy-coef 0.0005 --agent.critic-warmup-iterations 40
 WALKS ?= 100
 
 # A run that was stopped goes on: $(call train,RUN,TASK,OPTIONS OF A NEW RUN)

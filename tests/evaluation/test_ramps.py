@@ -258,12 +258,13 @@ def glide(env: ManagerBasedRlEnv, along: float, across: float, turn: float = 0.0
 
     def carry(sim: object, n: int, mask: torch.Tensor | None) -> None:
         qpos = env.sim.state("qpos").clone()
-        qpos[:, 0] += along * env.step_dt
-        qpos[:, 1] += across * env.step_dt
+        passed = n * env.cfg.sim.timestep
+        qpos[:, 0] += along * passed
+        qpos[:, 1] += across * passed
         ground = env.terrain.height(qpos[:, :2].float())
         ahead = env.terrain.height(qpos[:, :2].float() + 0.1 * torch.tensor([along, across]))
         qpos[:, 2] = ground + env.robot.default_root_height + 0.2
-        yaw.add_(turn * env.step_dt)
+        yaw.add_(turn * passed)
         qpos[:, 3:7] = quaternion.from_yaw(yaw)
         qvel = torch.zeros_like(env.sim.state("qvel"))
         qvel[:, 0], qvel[:, 1], qvel[:, 2], qvel[:, 5] = along, across, (ahead - ground) / 0.1, turn

@@ -35,7 +35,8 @@ from humoslope.mdp import observations as observations_of
 from humoslope.mdp.declare import measured_as
 from humoslope.registry import all_tasks, build_task
 from humoslope.scene.robot import Robot
-from robots.unitree_g1 import UNITREE_G1
+from robots.unitree_g1 import UNITREE_G1, UNITREE_G1_SOLID
+from tasks.stage1 import SENSED
 
 Change = Callable[[EnvCfg], None]
 
@@ -76,9 +77,9 @@ def test_the_file_acts_as_torch_on_the_noisy_observations_of_training(
 
 def test_the_file_is_whole_and_of_one_row(exported: Path) -> None:
     files = sorted(str(path.relative_to(exported)) for path in exported.rglob("*") if path.is_file())
-    assert files == ["exported/policy.onnx", "model.xml", "params/deploy.yaml", "policy.json"]
+    assert files == ["SHA256SUMS", "exported/policy.onnx", "model.xml", "params/deploy.yaml", "policy.json"]
     # Bytes alone: weights in another file could not be found.
-    session = ort.InferenceSession((exported / files[0]).read_bytes(), providers=["CPUExecutionProvider"])
+    session = ort.InferenceSession((exported / files[1]).read_bytes(), providers=["CPUExecutionProvider"])
     assert [(end.name, end.shape) for end in session.get_inputs()] == [("obs", [1, 480])]
     assert [(end.name, end.shape) for end in session.get_outputs()] == [("actions", [1, 29])]
 
@@ -95,7 +96,7 @@ def test_the_contract_says_where_the_policy_comes_from(exported: Path, stage1_ch
 def test_the_model_file_is_the_robot(env: ManagerBasedRlEnv) -> None:
     """Six digits are what MuJoCo writes; drives, sensors and ground are the contract's and the player's."""
     written = mujoco.MjModel.from_xml_string(robot_xml(env))
-    original = UNITREE_G1.make_spec().compile()
+    original = UNITREE_G1_SOLID.make_spec().compile()
     assert (written.nu, written.nsensor, written.nkey) == (0, 0, 0)
     assert (written.nq, written.ngeom, written.nsite) == (original.nq, original.ngeom, original.nsite)
     for field in ("body_mass", "body_inertia", "body_ipos", "jnt_range", "geom_size", "geom_contype", "geom_friction"):
@@ -109,6 +110,7 @@ def test_overrides_of_a_task_reach_the_contract(described: Callable[[Change], Co
         cfg.actions.scale_factor = 0.5
         cfg.observations.actor.history = 2
         cfg.command.speed, cfg.command.yaw_rate, cfg.command.standing_share = (0.1, 0.2), (-0.1, 0.5), 0.0
+        cfg.command.modes = {}
         cfg.terminations.tilted = None
 
     contract = described(change)
@@ -127,14 +129,15 @@ def measure(*names: str) -> Change:
         cfg.sim.observation_age_s = 0.012
         for name in names:
             getattr(cfg.observations.actor.terms, name).params = {"measured": True}
+        for name in set(SENSED) - set(names):
+            getattr(cfg.observations.actor.terms, name).params = {}
 
     return change
 
 
 def test_the_contract_says_how_old_what_is_seen_is(described: Callable[[Change], Contract]) -> None:
     assert described(measure()).timing.observation_age_s == 0.005  # no observation is measured
-    own = ("base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel")
-    assert described(measure(*own)).timing.observation_age_s == 0.012
+    assert described(measure(*SENSED)).timing.observation_age_s == 0.012
     with pytest.raises(UserError, match=r"they differ: actor.base_ang_vel 5 ms, actor.projected_gravity 12 ms, "):
         described(measure("projected_gravity", "joint_pos_rel", "joint_vel"))
 
@@ -364,7 +367,8 @@ def test_a_policy_of_several_vectors_plays(
     """The player feeds each group by its name: the actions are those of torch on the same observations."""
 
     def split(cfg: EnvCfg) -> None:
-        body = ObservationGroupCfg(Terms(gyro=ObservationTermCfg(observations_of.base_ang_vel)), history=2)
+        gyro = ObservationTermCfg(observations_of.base_ang_vel, {"measured": True})
+        body = ObservationGroupCfg(Terms(gyro=gyro), history=2)
         cfg.observations = Terms(actor=cfg.observations.actor, body=body)
 
     env = make_stage1(2, split)

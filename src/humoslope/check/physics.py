@@ -12,9 +12,11 @@ from torch import Tensor
 
 from humoslope.check.finding import Finding, below
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
+from humoslope.mdp.soles import Soles
 from humoslope.scene.scene import build_model
 from humoslope.sim import Simulation, make_simulation
 from humoslope.sim.warp import WarpSimulation
+from humoslope.slope import quaternion
 from humoslope.terrain.queries import TerrainQueries
 
 CELL, VERTICES, PERIOD = 0.1, 1081, 100
@@ -80,10 +82,12 @@ def check_motion(cfg: EnvCfg, device: str) -> list[Finding]:
     qpos = torch.zeros(len(chosen), model.nq, dtype=torch.float64)
     qpos[:, 0] = torch.tensor(chosen[:, 0] + terrain.spawn_x)
     qpos[:, 1] = torch.tensor(chosen[:, 1])
-    ground = TerrainQueries(terrain, torch.device("cpu")).height(qpos[:, :2].float())
-    qpos[:, 2] = ground.double() + robot.default_root_height
     qpos[:, 3] = 1.0
     qpos[:, 7:] = torch.tensor(robot.default_joint_pos, dtype=torch.float64)
+    soles = Soles(model, robot, torch.device("cpu"))
+    points = soles(qpos.float(), quaternion.matrix(qpos[:, 3:7].float()))  # [N, P, 3] from the root
+    ground = TerrainQueries(terrain, torch.device("cpu")).height(qpos[:, None, :2].float() + points[:, :, :2])
+    qpos[:, 2] = (ground - points[:, :, 2]).amax(dim=1).double()
     ends = []
     for backend in ("native", "warp"):
         where = "cpu" if backend == "native" else device

@@ -138,16 +138,16 @@ def _now(env: ManagerBasedRlEnv) -> float:
 def _env_block(env: ManagerBasedRlEnv, act: Callable[[TensorDict], Tensor]) -> tuple[float, list[dict[str, Tensor]]]:
     """Time of a block of `env.step`, s, and what the physics was given in each step."""
     frames: list[dict[str, Tensor]] = []
-    step, spent = env.sim.step, 0.0
+    advance, spent = env.measurements.advance, 0.0
 
     def record(n: int, active: Tensor | None) -> None:
         nonlocal spent
         start = _now(env)
         frames.append({field: env.sim.state(field).clone() for field in STATE})
         spent -= _now(env) - start
-        step(n, active)
+        advance(n, active)
 
-    with _hung(env.sim, "step", record):
+    with _hung(env.measurements, "advance", record):
         for _ in range(BLOCK):
             action = act(env.get_observations())
             start = _now(env)

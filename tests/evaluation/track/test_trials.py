@@ -162,7 +162,7 @@ def test_a_policy_that_stands_scores_nothing_and_ends_near_the_start_at_every_gr
 
 def slower(cfg: EnvCfg) -> None:
     """Control steps of 0.2 s, for what moves without physics."""
-    cfg.sim.timestep, cfg.sim.decimation = 0.05, 4
+    cfg.sim.timestep, cfg.sim.decimation, cfg.sim.observation_age_s = 0.05, 4, None
 
 
 def put_on_rails(env: ManagerBasedRlEnv, speed: float, until: float = math.inf) -> None:
@@ -171,7 +171,7 @@ def put_on_rails(env: ManagerBasedRlEnv, speed: float, until: float = math.inf) 
     def carry(sim: object, n: int, mask: Tensor) -> None:
         qpos = env.sim.state("qpos").clone()
         way = qpos[:, 0] - env.tiles.origin_w[:, 0]
-        qpos[:, 0] += (speed * env.step_dt) * (way < until)
+        qpos[:, 0] += speed * n * env.cfg.sim.timestep * (way < until)
         ground = env.terrain.height(qpos[:, :2].float())
         qpos[:, 2] = ground + env.robot.default_root_height + 0.2
         qpos[:, 3:7] = torch.tensor([1.0, 0.0, 0.0, 0.0])
