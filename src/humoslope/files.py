@@ -144,7 +144,10 @@ def _is_of_the_system(error: BaseException) -> bool:
 
 
 def _unwritten(path: Path, error: BaseException) -> UserError:
-    reason = getattr(error, "strerror", None) or str(error).splitlines()[-1]
+    if isinstance(error, FileExistsError):  # by `mkdir`, whose "File exists" would be taken for `path` itself
+        reason = f"'{error.filename}' is a file, not a folder"
+    else:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[-1]
     kept = "; the file that was there is whole" if _exists(path) else ""
     return UserError(f"cannot write '{path}': {reason}{kept}.")
 

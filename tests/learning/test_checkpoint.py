@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import random
 from pathlib import Path
 
@@ -14,8 +15,10 @@ from hypothesis import strategies as st
 from humoslope.errors import UserError
 from humoslope.learning import checkpoint
 from humoslope.learning.rng import restore_rng, rng_state
+from humoslope.seal import sealed
+from tests.learning.states import checkpoint_state
 
-STATE = {"policy": {"weights": {"weight": torch.ones(3)}}, "task": "Walk", "iteration": 4}
+STATE = checkpoint_state()
 WHOLE = STATE | {"format": checkpoint.FORMAT}
 
 CPU = torch.device("cpu")
@@ -47,10 +50,10 @@ def test_a_crash_while_writing_leaves_the_old_file_and_no_other(tmp_path, monkey
 
     def crash(self: Path, content: bytes) -> int:
         write(self, content[: len(content) // 2])
-        raise OSError("disk full")
+        raise OSError(errno.ENOSPC, "disk full")
 
     monkeypatch.setattr(Path, "write_bytes", crash)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(UserError, match=r"cannot write '.*model_4.pt': disk full; the file that was there is whole\.$"):
         checkpoint.save(path, STATE | {"iteration": 5})
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
@@ -133,13 +136,13 @@ def test_a_renamed_and_moved_checkpoint_is_the_same(tmp_path, sealed_file):
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 @pytest.mark.parametrize("part", ["policy", "learner"])
 def test_weights_that_are_not_finite_are_neither_written_nor_read(tmp_path, part, value):
-    weights = {part: {"weights": {"layer": torch.tensor([1.0, value])}}}
+    weights = {part: {"spec": {}, "weights": {"layer": torch.tensor([1.0, value])}}}
     path = tmp_path / "model_0.pt"
     with pytest.raises(UserError, match=rf"is not written: {part}\.weights\.layer holds values that are not finite"):
         checkpoint.save(path, STATE | weights)
     assert not path.exists()
     torch.save(WHOLE | weights, path)
-    path.write_bytes(checkpoint.sealed(path.read_bytes()))
+    path.write_bytes(sealed(path.read_bytes()))
     with pytest.raises(UserError, match=rf"cannot be used: {part}\.weights\.layer holds values that are not finite"):
         checkpoint.load(path)
 

@@ -13,6 +13,7 @@ from tensordict import TensorDict
 from humoslope.errors import UserError
 from humoslope.learning import checkpoint
 from humoslope.learning.policy import PolicySpec, find_checkpoint, load_actor, read_provenance, spec_state
+from tests.learning.states import checkpoint_state, env_state
 
 INPUTS, JOINTS = 12, 5
 
@@ -47,16 +48,10 @@ def save(
     path: Path, hidden: tuple[int, ...] = (8,), normalized: bool = True, model: Any = None, **changes: Any
 ) -> Path:
     model = network(hidden, normalized) if model is None else model
-    state = {
-        "policy": {"spec": spec_state(spec_of(hidden, normalized)), "weights": model.state_dict()},
-        "task": "Walk",
-        "iteration": 7,
-        "total_steps": 98304,
-        "env": {"curriculum": {"harness": {"scale": 0.25}}},
-        "parent": None,
-        "formerly": (),
-    }
-    checkpoint.save(path, {**state, **changes})
+    policy = {"spec": spec_state(spec_of(hidden, normalized)), "weights": model.state_dict()}
+    env = env_state(harness={"scale": 0.25})
+    state = checkpoint_state(policy=policy, iteration=7, total_steps=98304, env=env)
+    checkpoint.save(path, state | changes)
     return path
 
 
@@ -85,7 +80,7 @@ def test_networks_of_every_preset_act_as_they_did_in_training(
 def test_a_checkpoint_says_whether_a_harness_helped(
     tmp_path: Path, curriculum: Any, scale: float | None, said: str
 ) -> None:
-    path = save(tmp_path / "model_7.pt", env={"curriculum": curriculum})
+    path = save(tmp_path / "model_7.pt", env=env_state(**curriculum))
     provenance = read_provenance(path)
     assert provenance.harness == scale
     assert said in provenance.training

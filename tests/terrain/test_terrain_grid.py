@@ -98,13 +98,19 @@ def test_a_tile_depends_on_seed_column_and_level_only() -> None:
     assert (tile(small.build(), 1, 0) != tile(small.build(), 1, 1)).any()
 
 
-def test_stage_one_is_half_planar_ramps_with_flat_wavy_and_rough_ground() -> None:
+def test_stage_one_is_nearly_half_hillsides_with_ramps_and_flat_wavy_and_rough_ground() -> None:
     built = stage1().build()
-    count = {name: built.kind.count(name) for name in built.kind}
-    assert count["flat"] == 3
-    assert count["ramp-up"] == count["ramp-down"] == 5
-    assert count["rough-ramp-up"] + count["rough-ramp-down"] == 3
-    assert count["wave"] == count["rough"] == 2
+    assert {name: built.kind.count(name) for name in built.kind} == {
+        "hillside": 7,
+        "rough-hillside": 2,
+        "flat": 1,
+        "ramp-up": 3,
+        "ramp-down": 3,
+        "rough-ramp-up": 1,
+        "rough-ramp-down": 1,
+        "wave": 1,
+        "rough": 1,
+    }
     assert np.isfinite(built.heights).all()
 
 
@@ -113,19 +119,22 @@ def test_stage_one_is_half_planar_ramps_with_flat_wavy_and_rough_ground() -> Non
     [
         ({"levels": 0}, "levels is 0"),
         ({"num_columns": 0}, "num_columns is 0"),
-        ({"cell": 0.0}, "cell is 0.0"),
+        ({"cell": 0.0}, r"cell is 0; it must be between 0\.001 and 10,000\.$"),
         ({"cell": -0.1}, "cell is -0.1"),
         ({"cell": float("nan")}, "cell is nan"),
         ({"cell": 6.0}, "cell is 6.0 m, larger than tile_width"),
         ({"cell": 0.3}, "whole number of cells"),
         ({"tile_length": 0.5}, "robots start at 0.75 m, so it must be longer"),
-        ({"tile_width": -1.0}, "tile_width is -1.0"),
-        ({"border": -1.0}, "border is -1.0"),
+        ({"tile_width": -1.0}, r"tile_width is -1; it must be between 0\.001 and 10,000\.$"),
+        ({"border": -1.0}, r"border is -1; it must be between 0 and 1,000\.$"),
         ({"seed": -1}, "seed is -1"),
         ({"columns": {}}, "sum to 0"),
         ({"columns": {"flat": 0.0}}, "sum to 0"),
-        ({"columns": {"flat": 1.0, "wave": -0.5}}, "the share of 'wave' is -0.5"),
-        ({"columns": {"flat": float("inf")}}, "the share of 'flat' is inf"),
+        (
+            {"columns": {"flat": 1.0, "wave": -0.5}},
+            r"columns is \{'flat': 1\.0, 'wave': -0\.5\}; of 'wave', it must be 0 or more\.$",
+        ),
+        ({"columns": {"flat": float("inf")}}, r"columns is \{'flat': inf\}; of 'flat', it must be 0 or more"),
         ({"columns": {"flat": 1.0, "wave": 1.0}, "num_columns": 1}, "do not fit"),
         ({"columns": {"ramp-upp": 1.0}}, "did you mean 'ramp-up'"),
     ],

@@ -96,5 +96,5 @@ def test_there_is_nothing_to_draw_of_a_sweep_alone(tmp_path):
 
 def test_a_folder_that_cannot_be_written_to_is_a_mistake(results, tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(UserError, match="cannot write the figure"):
+    with pytest.raises(UserError, match=r"cannot write '.*file/[\w-]+\.\w+': '.*/file' is a file, not a folder\.$"):
         draw_all(results, tmp_path / "file", 20.0)

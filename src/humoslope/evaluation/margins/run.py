@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import multiprocessing
 import sys
 from collections import deque
@@ -60,6 +61,8 @@ def run_job(job: Job) -> Trial:
 class TrialStore:
     """Finished trials in a file. A file of other trials, or a damaged one, is replaced.
 
+    A number of a trial that is NaN, as of one that ended early, is null in the file.
+
     Args:
         path: The file.
         fingerprint: Hash of all that decides the outcome of a trial beyond its key.
@@ -71,7 +74,7 @@ class TrialStore:
         try:
             raw = read_json(path)
             if raw["fingerprint"] == fingerprint:
-                self._trials = {(n, float(v), int(i)): Trial(**fields) for (n, v, i), fields in raw["trials"]}
+                self._trials = {(n, float(v), int(i)): _read(fields) for (n, v, i), fields in raw["trials"]}
         except FileNotFoundError:
             pass
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -93,9 +96,19 @@ class TrialStore:
 
     def save(self) -> None:
         """Writes the file."""
-        trials = [[key, asdict(trial)] for key, trial in sorted(self._trials.items())]
+        trials = [[key, _written(trial)] for key, trial in sorted(self._trials.items())]
         write_json(self._path, {"fingerprint": self._fingerprint, "trials": trials})
         self._unsaved = 0
+
+
+def _written(trial: Trial) -> dict[str, Any]:
+    """A trial in JSON types, which have no NaN."""
+    return {name: None if math.isnan(value) else value for name, value in asdict(trial).items()}
+
+
+def _read(fields: dict[str, Any]) -> Trial:
+    """The trial of which `_written` made `fields`."""
+    return Trial(**{name: math.nan if value is None else value for name, value in fields.items()})
 
 
 @dataclass
