@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from humoslope.registry import load_content
 ROOT = Path(__file__).parents[2]
 
 # Writes down what it was asked, refuses to read what is not there, and leaves what the verb would leave.
-STAND_IN = """#!/usr/bin/env python3
+STAND_IN = """#!{python} -IS
 import sys
 from pathlib import Path
 
@@ -48,7 +49,7 @@ elif words[0] == "evaluate":
 def reproduce(tmp_path: Path):
     out, log, program = tmp_path / "out", tmp_path / "log", tmp_path / "bin" / "humoslope"
     program.parent.mkdir()
-    program.write_text(STAND_IN.format(log=log, out=out), encoding="utf-8")
+    program.write_text(STAND_IN.format(python=sys.executable, log=log, out=out), encoding="utf-8")
     program.chmod(0o755)
 
     def run() -> list[str]:

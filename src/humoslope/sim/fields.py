@@ -34,9 +34,10 @@ def check_reading(model: mujoco.MjModel, field: str) -> None:
 
 def check_model_field(model: mujoco.MjModel, field: str) -> None:
     """Raises UserError unless `field` is a floating-point array of `MjModel`."""
-    known = [name for name in _array_names(model) if np.issubdtype(getattr(model, name).dtype, np.floating)]
-    if field not in known:
-        raise unknown("model field", field, known)
+    if field.startswith("_") or not _is_floating(getattr(model, field, None)):
+        raise unknown(
+            "model field", field, [name for name in _array_names(model) if _is_floating(getattr(model, name))]
+        )
 
 
 def no_access(field: str, backend: str) -> UserError:
@@ -56,6 +57,10 @@ def replace(target: Tensor, mask: Tensor, value: Tensor) -> None:
     """Writes `value` into `target` [N, ...] where `mask` [N] holds; broadcasts, and converts to the target's dtype."""
     where = mask.view(-1, *(1,) * (target.dim() - 1))
     target.copy_(torch.where(where, value.to(target.dtype), target))
+
+
+def _is_floating(value: object) -> bool:
+    return isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.floating)
 
 
 def _array_names(struct: mujoco.MjModel | mujoco.MjData) -> list[str]:

@@ -256,20 +256,21 @@ def steepest(heights: NDArray[np.floating[Any]], cell: float) -> float:
         heights: [nx, ny] m.
         cell: Distance between neighbouring heights, m.
     """
-    along_x, along_y = (_slopes(heights.astype(np.float64), cell, axis) for axis in (0, 1))
+    along_x, along_y = _slopes(heights, cell), _slopes(heights.T, cell).T
     return math.degrees(math.atan(float(np.hypot(along_x, along_y).max())))
 
 
-def _slopes(heights: registry.Array, cell: float, axis: int) -> registry.Array:
-    """Rise per metre along an axis from every place over a stance, in the shape of `heights`.
+def _slopes(heights: NDArray[np.floating[Any]], cell: float) -> registry.Array:
+    """Rise per metre along the first axis from every place over a stance, in the shape of `heights`.
 
     Near the end of the tile it is that of the last stance on it; a tile shorter than a stance is one itself.
     """
-    size = heights.shape[axis]
-    steps = min(max(1, round(STANCE / cell)), size - 1)
-    start = np.minimum(np.arange(size), size - 1 - steps)
-    rise: registry.Array = np.take(heights, start + steps, axis) - np.take(heights, start, axis)
-    return rise / (steps * cell)
+    steps = min(max(1, round(STANCE / cell)), len(heights) - 1)
+    slopes = np.empty(heights.shape)
+    np.subtract(heights[steps:], heights[:-steps], out=slopes[:-steps], dtype=np.float64)
+    slopes[:-steps] /= steps * cell
+    slopes[-steps:] = slopes[-steps - 1]
+    return slopes
 
 
 def _keeps_slope(heights: registry.Array, cell: float, grade: float) -> bool:

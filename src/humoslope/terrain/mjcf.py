@@ -9,6 +9,7 @@ from humoslope.terrain.grid import Terrain
 
 TERRAIN_GEOM = "terrain"
 """Name of the geom that is the ground."""
+_FILE = "terrain.hfield"
 BASE_THICKNESS = 1.0
 """Solid ground below the lowest height, m; a thin base lets a fast foot pass through."""
 
@@ -34,14 +35,11 @@ def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:
         spec.worldbody.add_geom(name=TERRAIN_GEOM, type=mujoco.mjtGeom.mjGEOM_PLANE, size=size, pos=centre, **contact)
         return
     span = float(terrain.heights.max()) - low
-    fractions = (terrain.heights.astype(np.float64) - low) / span
-    spec.add_hfield(
-        name=TERRAIN_GEOM,
-        size=[half_x, half_y, span, BASE_THICKNESS],
-        nrow=ny,  # rows run along y, columns along x
-        ncol=nx,
-        userdata=fractions.T.ravel().astype(np.float32),
-    )
+    fractions = ((terrain.heights.astype(np.float64) - low) / span).astype(np.float32)
+    # In MuJoCo's file format; a million `userdata` would be converted one by one. Rows run along y, columns along x.
+    file = np.array([ny, nx], dtype=np.int32).tobytes() + fractions.T.tobytes()
+    spec.assets = spec.assets | {_FILE: file}
+    spec.add_hfield(name=TERRAIN_GEOM, size=[half_x, half_y, span, BASE_THICKNESS], file=_FILE)
     spec.worldbody.add_geom(
         name=TERRAIN_GEOM, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=TERRAIN_GEOM, pos=centre, **contact
     )

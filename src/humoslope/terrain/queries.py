@@ -67,15 +67,15 @@ def _planes(heights: Tensor) -> Tensor:
     Of the cells that begin at its last row or column, which no point enters, only the corner counts; their slopes are
     those of the cells before them.
     """
-    wide = torch.nn.functional.pad(heights[None], (0, 1, 0, 1), mode="replicate")[0]
-    low, high = wide[:-1, :-1], wide[1:, 1:]
-    across, along = wide[:-1, 1:], wide[1:, :-1]  # the middle corner of the triangle along y, and along x
-    # [R, C, 4] along x and y, of the one triangle and of the other
-    rises = torch.stack((high - across, across - low, along - low, high - along), dim=2)
-    rises[-1] = rises[-2]
-    rises[:, -1] = rises[:, -2]
-    corner = low[:, :, None].expand(-1, -1, 2)
-    return torch.stack((corner, rises[:, :, 0::2], rises[:, :, 1::2]), dim=3).view(-1, 3)
+    along_x, along_y = heights.diff(dim=0), heights.diff(dim=1)
+    planes = heights.new_empty(*heights.shape, 2, 3)  # [R, C, triangle, corner and rises]
+    planes[..., 0] = heights[:, :, None]
+    cells = planes[:-1, :-1]
+    cells[..., 0, 1], cells[..., 0, 2] = along_x[:, 1:], along_y[:-1]
+    cells[..., 1, 1], cells[..., 1, 2] = along_x[:, :-1], along_y[1:]
+    planes[-1, ..., 1:] = planes[-2, ..., 1:]
+    planes[:, -1, :, 1:] = planes[:, -2, :, 1:]
+    return planes.view(-1, 3)
 
 
 def _axes_first(xy: Tensor) -> Tensor:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
-from scipy.stats import linregress
 
 from humoslope.errors import UserError
 from humoslope.evaluation.swing.samples import SwingSamples
@@ -135,6 +134,8 @@ def solve(bins: Sequence[Bin], fit: Fit) -> SwingFit:
             f"more --starts or --seconds, or train Stage II with --calibration prior (beta0 {PRIOR.beta0:g} rad, beta1 "
             f"{PRIOR.beta1:g}, theta_clip {math.degrees(PRIOR.theta_clip):g} degrees)."
         )
+    from scipy.stats import linregress  # takes a second to import, and few verbs fit anything
+
     clip = math.radians(fit.theta_clip)
     found = linregress([_clipped(b, clip) for b in used], [b.flexion for b in used])
     calibration = SwingCalibration(float(found.intercept), float(found.slope), clip)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
@@ -42,8 +42,7 @@ class Frames:
         self._poses = self._robot.poses(rollout)
         self._ground = Solid(ground_shape(rollout))
         self._middle = follow(rollout.columns, rollout.header["dt"])
-        font = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"  # where no font is installed
-        self._large, self._small = (ImageFont.truetype(str(font), round(height * size)) for size in (0.038, 0.031))
+        self._large, self._small = (ImageFont.truetype(_font(), round(height * size)) for size in (0.038, 0.031))
 
     def __call__(self, step: int) -> Picture:
         """The picture [height, width, 3] of a step."""
@@ -78,3 +77,11 @@ class Frames:
             fill = ALARM if event.kind in ("fall", "push") else FAINT
             draw.text(place, event.text, font=self._small, fill=fill)
         return np.asarray(image)
+
+
+def _font() -> str:
+    """Path of matplotlib's font, which is there where none is installed; found without the time to import all of it."""
+    found = find_spec("matplotlib")
+    assert found is not None
+    assert found.origin is not None
+    return str(Path(found.origin).parent / "mpl-data" / "fonts" / "ttf" / "DejaVuSans.ttf")
