@@ -12,6 +12,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from humoslope.check.host_sync import NoHostSync
 from humoslope.errors import UserError
 from humoslope.learning.fasttd3.config import FastTd3Cfg
 from humoslope.learning.fasttd3.learner import FastTd3, _half_mirrored
@@ -126,7 +127,8 @@ def test_every_env_explores_with_a_strength_of_its_own_until_its_episode_ends() 
     learner = FastTd3(world, small(exploration_std=(0.1, 5.0)))
     obs, before = world.get_observations(), learner._exploration_std.clone()
     assert before.unique().numel() == world.num_envs
-    actions = torch.stack([learner.act(obs) for _ in range(400)])  # [400, N, 1]
+    with torch.inference_mode():
+        actions = torch.stack([learner.act(obs) for _ in range(400)])  # [400, N, 1]
     assert actions.abs().max().item() == BOUND
     gentle, rough = before.argmin(), before.argmax()
     assert actions[:, gentle].std() < actions[:, rough].std()
@@ -200,6 +202,43 @@ def test_a_run_that_is_stopped_while_it_fills_its_buffer_fills_it_again() -> Non
     again = FastTd3(world, before.cfg)
     again.load_state_dict(stopped.state_dict())
     assert "first collects 20 new steps" in again.remarks()[0]
+
+
+def test_neither_steps_nor_updates_wait_for_the_device() -> None:
+    world = Wheel()
+    learner = FastTd3(world, small())
+    drive(learner, world, 2)
+    obs = world.get_observations()
+    with torch.inference_mode():
+        transition = world.step(obs, learner.act(obs))
+        with NoHostSync():
+            learner.act(obs)
+            learner.take(transition)
+    with NoHostSync():
+        for _ in range(2):
+            learner._update_once()
+
+
+def test_processes_learn_with_the_mean_of_their_gradients() -> None:
+    """In a group of one, what they do to share weights, means and gradients must change nothing."""
+    weights = []
+    for size in (0, 1):
+        torch.manual_seed(0)
+        world = Wheel()
+        learner = FastTd3(world, small())
+        if size:
+            torch.distributed.init_process_group("gloo", store=torch.distributed.HashStore(), rank=0, world_size=1)
+        try:
+            if size:
+                learner.synchronise()
+            drive(learner, world, 3)
+        finally:
+            if size:
+                torch.distributed.destroy_process_group()
+        weights.append(
+            torch.cat([p.detach().flatten() for p in (*learner.policy.parameters(), *learner.critics.parameters())])
+        )
+    assert torch.allclose(*weights, atol=1e-3)
 
 
 def test_half_of_a_batch_is_mirrored(make_stage1: Callable[..., Any]) -> None:
