@@ -71,7 +71,9 @@ def test_a_simulated_robot_never_speaks_on_a_network(contract: Contract) -> None
         (["robot", "EXPORT", "--fault.flip", "left_nee_joint"], "joint 'left_nee_joint' does not exist; did you mean"),
     ],
 )
-def test_bad_input_gets_one_sentence(exported: Path, arguments: list[str], said: str) -> None:
+def test_bad_input_gets_one_sentence(
+    exported: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
     assert main([str(exported) if word == "EXPORT" else word for word in arguments]) == 2
     found = capsys.readouterr().err
     assert said in found
