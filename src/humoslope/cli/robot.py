@@ -37,15 +37,15 @@ class Options:
         grade: Grade of a ramp, degrees; negative goes down, 0 is flat ground.
         cross: Slope across the course, degrees; only without a ramp.
         friction: Coefficient of friction between feet and ground.
-        script: What the person beside it does, such as "1:start 5:lower 8:A 8:forward=0.6 8.5:release 20:select". Each
+        script: Actions of the person beside it, such as "1:start 5:lower 8:A 8:forward=0.6 8.5:release 20:select". Each
             time, s, counts from the first command to the motors; a word is a button, lower, release, or a stick and
             its deflection.
         seconds: Time to simulate, s; by default until it is interrupted.
         timestep: Physics step, s; the contract's by default.
         slower: Let time pass so many times slower, as `humoslope deploy` with the same option.
-        faults: What is wrong with it.
+        faults: Faults of its messages and its motors.
         seed: Seed of noise and lost messages.
-        out: JSON file for what happened, with the true place of the robot.
+        out: JSON file of events, with the true place of the robot.
     """
 
     folder: tyro.conf.Positional[Path]
