@@ -15,7 +15,20 @@ from humoslope.errors import UserError
 from humoslope.learning import checkpoint
 from humoslope.learning.rng import restore_rng, rng_state
 
-STATE = {"policy": {"weights": {"weight": torch.ones(3)}}, "task": "Walk", "iteration": 4}
+STATE = {
+    "task": "Walk",
+    "code": "",
+    "iteration": 4,
+    "total_steps": 96,
+    "total_time": 1.5,
+    "config": None,
+    "policy": {"spec": {}, "weights": {"weight": torch.ones(3)}},
+    "learner": {},
+    "env": {"level": torch.zeros(2, dtype=torch.int64), "curriculum": {}},
+    "rng": {},
+    "parent": None,
+    "formerly": (),
+}
 WHOLE = STATE | {"format": checkpoint.FORMAT}
 
 CPU = torch.device("cpu")
@@ -50,7 +63,7 @@ def test_a_crash_while_writing_leaves_the_old_file_and_no_other(tmp_path, monkey
         raise OSError("disk full")
 
     monkeypatch.setattr(Path, "write_bytes", crash)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(UserError, match="disk full; the file that was there is whole"):
         checkpoint.save(path, STATE | {"iteration": 5})
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
@@ -133,7 +146,7 @@ def test_a_renamed_and_moved_checkpoint_is_the_same(tmp_path, sealed_file):
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 @pytest.mark.parametrize("part", ["policy", "learner"])
 def test_weights_that_are_not_finite_are_neither_written_nor_read(tmp_path, part, value):
-    weights = {part: {"weights": {"layer": torch.tensor([1.0, value])}}}
+    weights = {part: {"spec": {}, "weights": {"layer": torch.tensor([1.0, value])}}}
     path = tmp_path / "model_0.pt"
     with pytest.raises(UserError, match=rf"is not written: {part}\.weights\.layer holds values that are not finite"):
         checkpoint.save(path, STATE | weights)
@@ -160,3 +173,31 @@ def test_all_random_sequences_continue_from_where_they_were_saved():
     draw()
     restore_rng(state, CPU)
     assert draw() == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"iteration": -5}, "iteration is -5; it must be 0 or more"),
+        ({"total_time": float("nan")}, "total_time is nan; it must be 0 or more"),
+        ({"iteration": "4"}, "has no proper 'iteration'"),
+        ({"env": {"curriculum": {}}}, "has no proper 'env.level'"),
+        ({"env": {"curriculum": {}, "level": torch.zeros(2, 2, dtype=torch.int64)}}, "has no proper 'env.level'"),
+        ({"env": {"curriculum": {}, "level": torch.tensor([-5])}}, "has no proper state of the environment"),
+        ({"policy": {"weights": {}}}, "has no proper 'policy'"),
+        ({"rng": None}, "has no proper 'rng'"),
+    ],
+)
+def test_a_whole_file_with_impossible_content_is_refused_in_a_sentence(tmp_path, change, said):
+    path = tmp_path / "model_4.pt"
+    checkpoint.save(path, STATE | change)
+    with pytest.raises(UserError, match=said) as caught:
+        checkpoint.load(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("entry", sorted(STATE))
+def test_a_checkpoint_that_lacks_an_entry_is_refused(tmp_path, entry):
+    checkpoint.save(tmp_path / "model_4.pt", {name: value for name, value in STATE.items() if name != entry})
+    with pytest.raises(UserError, match=f"no proper '{entry}'|is not a HumoSlope checkpoint"):
+        checkpoint.load(tmp_path / "model_4.pt")
