@@ -30,7 +30,7 @@ from humoslope.provenance import commit
 from humoslope.registry import TaskCfg
 
 EPISODES = "episodes"
-"""Name of the file beside the newest checkpoint of a run with the state of its episodes; 24 kB for an env of Stage I."""
+"""Name of the file beside the newest checkpoint with the state of its episodes; 24 kB for an env of Stage I."""
 RANK_SEED_STRIDE = 1_000_003
 """Distance in seed between the iterations at which the processes beyond the first one resume; a prime number."""
 
@@ -191,10 +191,10 @@ class Trainer:
         """Continues from a checkpoint of the same task: networks, optimisers, curricula, counters and random numbers.
 
         The newest checkpoint of a run of one process on the native backend has its episodes beside it, as
-        episodes_N.pt: physics, commands, histories, and all else that terms remember. From there the run goes on as if it had never
-        been stopped, bit for bit with a learner whose `state_dict` is complete, as PPO's is. Otherwise every episode
-        starts anew. Every process beyond the first draws new random numbers, since a checkpoint holds only those of the
-        first.
+        episodes_N.pt: physics, commands, histories, and all else that terms remember. From there the run goes on as if
+        it had never been stopped, bit for bit with a learner whose `state_dict` is complete, as PPO's is. Otherwise
+        every episode starts anew. Every process beyond the first draws new random numbers, since a checkpoint holds
+        only those of the first.
 
         Returns:
             A sentence that says which of the two it is, and why.
