@@ -741,7 +741,7 @@ def test_a_description_names_every_term(make_stage1: Callable[..., ManagerBasedR
         (lambda cfg: setattr(cfg, "episode_length_s", float("nan")), "episode_length_s is nan; it must be"),
         (
             lambda cfg: setattr(cfg.sim, "timestep", float("inf")),
-            "env.sim.timestep is inf; it must be between 0.0001 and 0.05",
+            "timestep is inf; it must be between 0.0001 and 0.05",
         ),
         (lambda cfg: setattr(cfg.sim, "decimation", 0), "env.sim.decimation is 0; it must be between 1 and 1,000"),
         (lambda cfg: cfg.rewards.pitch.params.update(share=1.0), "reward 'pitch': parameter 'share' does not exist"),

@@ -118,6 +118,11 @@ def read_bytes(kind: str, path: Path) -> bytes:
         raise UserError(f"{kind} '{path}' cannot be read: {error.strerror}.") from None
 
 
+def write_bytes(path: Path, content: bytes) -> None:
+    """Writes a file in one step."""
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+
+
 def write_text(path: Path, text: str) -> None:
     """Writes a text file in one step."""
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

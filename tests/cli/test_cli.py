@@ -148,7 +148,7 @@ def test_a_value_of_the_wrong_kind_is_a_short_message_and_exit_code_2(capsys, fo
         (["--env.num-envs", "1000000"], "GiB are free, enough for"),
         (
             ["--env.scene.terrain.cell", "0.002"],
-            "million heights, of which there is room for 20 million; choose a cell of",
+            "million heights, of which there is room for 20 million",
         ),
         (["--env.sim.decimation", "0"], "env.sim.decimation is 0; it must be between 1 and 1,000"),
         (["--env.sim.device", "cuda"], "torch finds no CUDA here"),

@@ -14,6 +14,7 @@ from humoslope.cli import main
 from humoslope.deploy import contract as contracts
 from humoslope.deploy import window
 from humoslope.learning import checkpoint
+from humoslope.seal import SUMS
 from robots.unitree_g1 import UNITREE_G1
 
 
@@ -66,6 +67,7 @@ def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
     folder = Path(shutil.copytree(exported, tmp_path / "never stood"))
     text = (folder / contracts.FILE).read_text()
     (folder / contracts.FILE).write_text(text.replace('"trained_to_stand": true', '"trained_to_stand": false'))
+    (folder / SUMS).unlink()  # the change is meant
     assert main(["play", str(folder), "--headless", "--seconds", "0.5", "--speed", "0", "--trials", "2"]) == 0
     printed = capsys.readouterr().out
     assert "It was trained at 0.3 to 0.8 m/s, and not to stand." in printed

@@ -37,5 +37,5 @@ def make_files(folder: Path, actor: Path, with_run: bool = False) -> tuple[dict[
         "saved trials": trials,
     }
     if with_run:
-        files["episodes"] = made.parent / "episodes.pt"
+        files["episodes"] = made.parent / "episodes_0.pt"
     return files, export

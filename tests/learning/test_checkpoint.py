@@ -163,3 +163,31 @@ def test_all_random_sequences_continue_from_where_they_were_saved():
     draw()
     restore_rng(state, CPU)
     assert draw() == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"iteration": -5}, "iteration is -5; it must be 0 or more"),
+        ({"total_time": float("nan")}, "total_time is nan; it must be 0 or more"),
+        ({"iteration": "4"}, "has no proper 'iteration'"),
+        ({"env": {"curriculum": {}}}, "has no proper 'env.level'"),
+        ({"env": {"curriculum": {}, "level": torch.zeros(2, 2, dtype=torch.int64)}}, "has no proper 'env.level'"),
+        ({"env": {"curriculum": {}, "level": torch.tensor([-5])}}, "has no proper state of the environment"),
+        ({"policy": {"weights": {}}}, "has no proper 'policy'"),
+        ({"rng": None}, "has no proper 'rng'"),
+    ],
+)
+def test_a_whole_file_with_impossible_content_is_refused_in_a_sentence(tmp_path, change, said):
+    path = tmp_path / "model_4.pt"
+    checkpoint.save(path, STATE | change)
+    with pytest.raises(UserError, match=said) as caught:
+        checkpoint.load(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("entry", sorted(STATE))
+def test_a_checkpoint_that_lacks_an_entry_is_refused(tmp_path, entry):
+    checkpoint.save(tmp_path / "model_4.pt", {name: value for name, value in STATE.items() if name != entry})
+    with pytest.raises(UserError, match=f"no proper '{entry}'|is not a HumoSlope checkpoint"):
+        checkpoint.load(tmp_path / "model_4.pt")

@@ -85,7 +85,7 @@ def test_the_folder_of_a_run_tells_what_it_was(finished, task):
     assert "3/3" in (finished / "console.log").read_text()
     files = {path.name for path in finished.iterdir() if not path.name.startswith("events.out.tfevents.")}
     models = {f"model_{number}.pt" for number in range(3)}
-    assert files == models | {"starts", "console.log", "episodes.pt"}
+    assert files == models | {"starts", "console.log", "episodes_2.pt"}
 
 
 def test_the_curves_of_a_run_count_its_iterations_and_steps(finished):
@@ -180,16 +180,20 @@ def test_a_resumed_run_equals_one_that_was_never_stopped(train, finished, task, 
             run / f"model_{number}.pt",
             but=("/total_time", "/config/agent/max_iterations"),
         )
-    first, second = (checkpoint.load_sealed(folder / "episodes.pt")["state"] for folder in (whole, run))
+    first, second = (checkpoint.load_sealed(folder / "episodes_5.pt")["state"] for folder in (whole, run))
     assert_same_values(first, second)
 
 
 @pytest.mark.parametrize(
     ("spoil", "options", "why"),
     [
-        (lambda run: (run / "episodes.pt").unlink(), [], "there is no episodes.pt beside it"),
-        (lambda run: (run / "model_2.pt").unlink(), [], "episodes.pt belongs to another checkpoint"),
-        (lambda run: (run / "episodes.pt").write_bytes(b"PK"), [], "episodes.pt is damaged or of another version"),
+        (lambda run: (run / "episodes_2.pt").unlink(), [], "there is no episodes_2.pt beside it"),
+        (
+            lambda run: shutil.copy(run / "model_1.pt", run / "model_2.pt"),
+            [],
+            "episodes_2.pt belongs to another checkpoint",
+        ),
+        (lambda run: (run / "episodes_2.pt").write_bytes(b"PK"), [], "episodes_2.pt is damaged or of another version"),
         (lambda run: None, ["--env.episode-length-s", "5"], "the environment is configured differently now"),
     ],
 )

@@ -128,6 +128,8 @@ def test_stage_one_is_nearly_half_hillsides_with_ramps_and_flat_wavy_and_rough_g
         ({"tile_width": -1.0}, r"tile_width is -1; it must be between 0\.001 and 10,000\.$"),
         ({"border": -1.0}, r"border is -1; it must be between 0 and 1,000\.$"),
         ({"seed": -1}, "seed is -1"),
+        ({"levels": 1000, "num_columns": 1000}, "room for 20 million; choose a cell of at least"),
+        ({"cell": 0.002}, "million heights, of which there is room for 20 million"),
         ({"columns": {}}, "sum to 0"),
         ({"columns": {"flat": 0.0}}, "sum to 0"),
         (

@@ -32,7 +32,7 @@ from typing import Any
 import torch
 
 from humoslope.errors import UserError
-from humoslope.files import read_bytes, write_atomically
+from humoslope.files import read_bytes, write_bytes
 from humoslope.learning import format_1
 from humoslope.seal import MARK, is_sealed, sealed
 
@@ -55,22 +55,30 @@ def save(path: Path, state: Mapping[str, Any]) -> None:
     """Writes `state` with format version and checksum in one step.
 
     Raises:
-        UserError: If a weight is not finite; nothing is written then.
+        UserError: If a weight is not finite, and nothing is written then, or if the file cannot be written.
+    """
+    write_bytes(path, encoded(path, state))
+
+
+def encoded(path: Path, state: Mapping[str, Any]) -> bytes:
+    """The content of a checkpoint that is to be written to `path`.
+
+    Raises:
+        UserError: If a weight is not finite.
     """
     require_finite(state, f"checkpoint '{path}' is not written")
-    save_sealed(path, {"format": FORMAT, **state})
+    return encoded_sealed({"format": FORMAT, **state})
 
 
-def save_sealed(path: Path, content: Mapping[str, Any]) -> None:
-    """Writes tensors and plain types with a checksum in one step."""
+def encoded_sealed(content: Mapping[str, Any]) -> bytes:
+    """Tensors and plain types as a file with a checksum."""
     buffer = io.BytesIO()
     torch.save(dict(content), buffer)
-    whole = sealed(buffer.getvalue())
-    write_atomically(path, lambda temporary: temporary.write_bytes(whole))
+    return sealed(buffer.getvalue())
 
 
 def load_sealed(path: Path) -> dict[str, Any]:
-    """Reads what `save_sealed` has written; nothing in it is executed.
+    """Reads what `encoded_sealed` has made; nothing in it is executed.
 
     Raises:
         UserError: If it is missing or damaged.

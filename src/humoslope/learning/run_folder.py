@@ -1,7 +1,7 @@
 """The folder of a training run: claimed by one process, with a record of every start and everything it printed.
 
 model_100.pt ...        checkpoints
-episodes.pt             the state of all episodes at the newest one
+episodes_100.pt         the state of all episodes at the newest one
 events.out.tfevents...  curves
 console.log             everything that was printed
 starts/1/, starts/2/    for each start, options.txt, config.json, git.txt and start.json (what it began with)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import signal
 import time
@@ -16,7 +17,7 @@ from rich.console import Console
 
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.files import write_atomically
+from humoslope.files import write_atomically, write_bytes
 from humoslope.interrupts import deferred_interrupts
 from humoslope.learning import checkpoint
 from humoslope.learning.distributed import Processes, any_process, mean_over_processes
@@ -28,8 +29,8 @@ from humoslope.packing import pack
 from humoslope.provenance import commit
 from humoslope.registry import TaskCfg
 
-EPISODES = "episodes.pt"
-"""File beside the newest checkpoint of a run with the state of its episodes; 20 kB for an env of Stage I."""
+EPISODES = "episodes"
+"""Name of the file beside the newest checkpoint with the state of its episodes; 24 kB for an env of Stage I."""
 RANK_SEED_STRIDE = 1_000_003
 """Distance in seed between the iterations at which the processes beyond the first one resume; a prime number."""
 
@@ -191,11 +192,11 @@ class Trainer:
     def resume(self, path: Path) -> str:
         """Continues from a checkpoint of the same task: networks, optimisers, curricula, counters and random numbers.
 
-        The newest checkpoint of a run of one process on the native backend has its episodes beside it, in `EPISODES`:
-        physics, commands, histories, and all else that terms remember. From there the run goes on as if it had never
-        been stopped, bit for bit with a learner whose `state_dict` is complete, as PPO's is. Otherwise every episode
-        starts anew. Every process beyond the first draws new random numbers, since a checkpoint holds only those of the
-        first.
+        The newest checkpoint of a run of one process on the native backend has its episodes beside it, as
+        episodes_N.pt: physics, commands, histories, and all else that terms remember. From there the run goes on as if
+        it had never been stopped, bit for bit with a learner whose `state_dict` is complete, as PPO's is. Otherwise
+        every episode starts anew. Every process beyond the first draws new random numbers, since a checkpoint holds
+        only those of the first.
 
         Returns:
             A sentence that says which of the two it is, and why.
@@ -252,28 +253,41 @@ class Trainer:
 
     def _resume_episodes(self, path: Path, state: dict[str, Any]) -> str:
         """Goes on with the episodes beside a checkpoint that was loaded; returns why that is impossible, or ""."""
-        beside = path.parent / EPISODES
+        beside = _episodes_of(path)
         if self._processes.size > 1 or self.env.sim.backend != "native":
             return "only one process on the native backend keeps them"
         if not beside.is_file():
-            return f"there is no {EPISODES} beside it"
+            return f"there is no {beside.name} beside it"
         if state["config"] is None or state["config"]["env"] != self._config["env"]:
             return "the environment is configured differently now"
         try:
             kept = checkpoint.load_sealed(beside)
             if kept["checkpoint"] != checkpoint.digest(path):
-                return f"{EPISODES} belongs to another checkpoint"
+                return f"{beside.name} belongs to another checkpoint"
             self.env.restore(kept["state"])
         except (UserError, KeyError, TypeError, ValueError, RuntimeError):
-            return f"{EPISODES} is damaged or of another version"
+            return f"{beside.name} is damaged or of another version"
         return ""
 
-    def _save_episodes(self, path: Path) -> None:
-        """Writes the state of all episodes beside a checkpoint that was saved at `path`, if it can be continued."""
+    def _save_with_episodes(self, path: Path) -> None:
+        """Writes a checkpoint, and beside it the state of all episodes, if it can be continued.
+
+        Whenever this is cut off, the newest checkpoint has its episodes: they are written before it, and those of the
+        one before it are removed after it.
+        """
+        content = checkpoint.encoded(path, self.state())
         state = self.env.snapshot() if self._processes.size == 1 else None
         if state is not None:
-            kept = {"checkpoint": checkpoint.digest(path), "state": state}
-            checkpoint.save_sealed(path.parent / EPISODES, kept)
+            kept = {"checkpoint": hashlib.sha256(content).hexdigest(), "state": state}
+            write_bytes(_episodes_of(path), checkpoint.encoded_sealed(kept))
+        try:
+            write_bytes(path, content)
+        except BaseException:
+            _episodes_of(path).unlink(missing_ok=True)
+            raise
+        for old in path.parent.glob(f"{EPISODES}_*.pt"):
+            if old != _episodes_of(path):
+                old.unlink(missing_ok=True)
 
     def _now(self) -> float:
         """The time, s, once the device has done what it was asked for."""
@@ -333,8 +347,7 @@ class Trainer:
         if not self.run_dir.is_dir():
             self._console.print(f"[yellow]The run folder {self.run_dir} was removed; it is made anew.[/yellow]")
         try:
-            self.save(path)
-            self._save_episodes(path)
+            self._save_with_episodes(path)
         except UserError as error:
             raise UserError(f"{str(error).rstrip('.')}; {self._kept()}.") from error
         self._last_saved = path
@@ -408,6 +421,10 @@ def tf32_products(device: torch.device) -> Iterator[None]:
         yield
     finally:
         torch.backends.cuda.matmul.fp32_precision = before
+
+
+def _episodes_of(path: Path) -> Path:
+    return path.with_name(f"{EPISODES}_{path.stem.rpartition('_')[2]}.pt")
 
 
 def _misfit(path: Path, error: Exception) -> UserError:
