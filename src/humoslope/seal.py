@@ -26,8 +26,7 @@ END_OF_ARCHIVE = b"PK\x05\x06"
 END_SIZE = 22
 """Length of a zip archive's last record without its comment, bytes; the last two hold the comment's length."""
 LAST_ENTRY = b',\n  "sha256": "'
-LIKE_A_SEAL = re.compile(rb"[0-9a-f]{24}")
-"""What is left of a seal, however it was damaged; none of these files ends in something like it by itself."""
+END = b'"\n}\n'
 SUMS = "SHA256SUMS"
 
 
@@ -88,9 +87,9 @@ def read_json(path: Path) -> Any:
     """
     content = path.read_bytes()
     body, _, tail = content.rpartition(LAST_ENTRY)
-    if body and tail == hashlib.sha256(body + LAST_ENTRY).hexdigest().encode() + b'"\n}\n':
+    if body and tail == hashlib.sha256(body + LAST_ENTRY).hexdigest().encode() + END:
         read = json.loads(body + b"\n}")
-    elif LIKE_A_SEAL.search(content[-80:]) or LAST_ENTRY in content:
+    elif _had_seal(content) or _had_seal(content + b"\n"):  # the last line may have lost its end
         raise ValueError("its checksum does not fit")
     else:
         read = json.loads(content)
@@ -131,6 +130,13 @@ def check_sums(folder: Path) -> None:
             raise UserError(f"'{folder / file}', which '{path}' lists, cannot be read; {again}.") from None
         if found != digest:
             raise UserError(f"'{folder / file}' is damaged or was changed since it was exported; {again}.")
+
+
+def _had_seal(content: bytes) -> bool:
+    """True for a file with most of a seal at its end, of which some bits have changed."""
+    tail = content[-len(LAST_ENTRY) - 64 - len(END) :]
+    pairs = zip(LAST_ENTRY + END, tail[: len(LAST_ENTRY)] + tail[-len(END) :], strict=False)
+    return 2 * sum(a == b for a, b in pairs) > len(LAST_ENTRY + END)
 
 
 def _is_inside(file: str) -> bool:
