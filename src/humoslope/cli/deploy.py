@@ -32,7 +32,7 @@ from humoslope.deploy.onboard.pilot import Pilot
 from humoslope.deploy.onboard.session import Session
 from humoslope.deploy.onboard.states import Mode
 from humoslope.deploy.onboard.unitree_g1 import MODE_MACHINE, motor_of_joint
-from humoslope.deploy.onboard.unitree_link import UnitreeLink
+from humoslope.deploy.onboard.unitree_link import UnitreeLink, load_sdk
 from humoslope.errors import UserError, require_not_negative, require_positive
 from humoslope.files import check_place
 
@@ -91,6 +91,7 @@ def run(arguments: list[str]) -> None:
     motor_of_joint(contract)
     controller = Controller(contract, OnnxPolicy(options.folder, contract.network))
     _check_speed(options.speed, contract)
+    load_sdk(options.interface)
     sdk_on_stderr()
     link = UnitreeLink(contract, options.interface, options.tag, pace)
     guardian = None if options.dry_run else Guardian(options.folder, options.interface, options.tag, pace)

@@ -17,7 +17,7 @@ from humoslope.deploy import contract as contracts
 from humoslope.deploy.onboard.pace import Pace, pace_on
 from humoslope.deploy.onboard.person import Person
 from humoslope.deploy.onboard.simulated import Faults, SimulatedRobot
-from humoslope.deploy.onboard.unitree_link import PERIOD_S, UnitreeRobot
+from humoslope.deploy.onboard.unitree_link import PERIOD_S, UnitreeRobot, load_sdk
 from humoslope.deploy.player import STEEPEST
 from humoslope.errors import UserError, require_positive
 from humoslope.files import check_place, write_text
@@ -37,14 +37,15 @@ class Options:
         grade: Grade of a ramp, degrees; negative goes down, 0 is flat ground.
         cross: Slope across the course, degrees; only without a ramp.
         friction: Coefficient of friction between feet and ground.
-        script: What the person beside it does, such as "1:start 5:lower 8:A 8:forward=0.6 8.5:release 20:select". Each
-            time, s, counts from the start; a word is a button, lower, release, or a stick and its deflection.
+        script: Actions of the person beside it, such as "1:start 5:lower 8:A 8:forward=0.6 8.5:release 20:select". Each
+            time, s, counts from the first command to the motors; a word is a button, lower, release, or a stick and
+            its deflection.
         seconds: Time to simulate, s; by default until it is interrupted.
         timestep: Physics step, s; the contract's by default.
         slower: Let time pass so many times slower, as `humoslope deploy` with the same option.
-        faults: What is wrong with it.
+        faults: Faults of its messages and its motors.
         seed: Seed of noise and lost messages.
-        out: JSON file for what happened, with the true place of the robot.
+        out: JSON file of events, with the true place of the robot.
     """
 
     folder: tyro.conf.Positional[Path]
@@ -74,7 +75,7 @@ def run(arguments: list[str]) -> None:
     if options.out is not None:
         check_place(options.out)
     contract = contracts.read(options.folder)
-    pace, person = pace_on(options.interface, options.slower), Person(options.script)
+    pace, person = pace_on(options.interface, options.slower), Person(options.script, waits=True)
     robot = SimulatedRobot(
         options.folder,
         contract,
@@ -85,6 +86,7 @@ def run(arguments: list[str]) -> None:
         seed=options.seed,
         timestep_s=options.timestep,
     )
+    load_sdk(options.interface, only_loopback=True)
     sdk_on_stderr()
     side, console = UnitreeRobot(contract, options.interface, options.tag), Console()
     console.print(f"a simulated {contract.robot.name} on {options.interface}", highlight=False)

@@ -105,7 +105,11 @@ def test_joints_find_their_motors_by_name(contract: Contract) -> None:
 def test_a_script_is_followed() -> None:
     done: list[str] = []
     robot: Any = SimpleNamespace(
-        time=0.0, remote=Remote(), lower=lambda: done.append("lower"), release=lambda: done.append("release")
+        time=0.0,
+        remote=Remote(),
+        commands=0,
+        lower=lambda: done.append("lower"),
+        release=lambda: done.append("release"),
     )
     person = Person("2:release 1:start 1:lower 1.5:forward=0.5")
     seen = []
@@ -114,6 +118,20 @@ def test_a_script_is_followed() -> None:
         seen.append((sorted(robot.remote.buttons), robot.remote.forward))
     assert done == ["lower", "release"]
     assert seen == [([], 0.0), (["start"], 0.0), (["start"], 0.0), ([], 0.0), ([], 0.5), ([], 0.5)]
+
+
+def test_a_person_may_wait_for_the_first_command() -> None:
+    robot: Any = SimpleNamespace(time=5.0, remote=Remote(), commands=0)
+    person = Person("1:start", waits=True)
+    person.act(robot)
+    robot.commands = 1
+    person.act(robot)
+    robot.time = 5.9
+    person.act(robot)
+    assert not robot.remote.buttons
+    robot.time = 6.0
+    person.act(robot)
+    assert robot.remote.buttons == {"start"}
 
 
 @pytest.mark.parametrize(

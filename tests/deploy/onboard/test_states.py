@@ -95,6 +95,7 @@ def test_commands_of_the_states(contract: Contract) -> None:
     assert damped is not None
     assert held is not None
     assert walking is not None
+    assert limp.target.any()  # others can see that somebody commands
     assert not limp.stiffness.any()
     assert not limp.damping.any()
     assert not damped.stiffness.any()

@@ -71,17 +71,13 @@ def test_a_simulated_robot_never_speaks_on_a_network(contract: Contract) -> None
         (["robot", "EXPORT", "--fault.flip", "left_nee_joint"], "joint 'left_nee_joint' does not exist; did you mean"),
     ],
 )
-def test_bad_input_gets_one_sentence(exported: Path, arguments: list[str], said: str) -> None:
-    """In a process of its own: these verbs move the standard output aside."""
-    done = subprocess.run(
-        [*VERB, *(str(exported) if word == "EXPORT" else word for word in arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2, done.stderr
-    assert said in done.stderr
-    assert "Traceback" not in done.stderr
+def test_bad_input_gets_one_sentence(
+    exported: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    assert main([str(exported) if word == "EXPORT" else word for word in arguments]) == 2
+    found = capsys.readouterr().err
+    assert said in found
+    assert found.count("\n") == 1
 
 
 VERB = [sys.executable, "-c", "import sys; from humoslope.cli import main; sys.exit(main())"]
@@ -220,7 +216,7 @@ def test_two_processes_start_walk_and_stop(start: Callable[..., Any], tmp_path: 
 @needs_sdk
 @pytest.mark.parametrize("ending", ["terminated", "killed", "guardian", "silent"])
 def test_whatever_ends_the_program_the_robot_is_damped(start: Callable[..., Any], tmp_path: Path, ending: str) -> None:
-    fault = ("--fault.silent-at-s", "4") if ending == "silent" else ()
+    fault = ("--fault.silent-at-s", "12") if ending == "silent" else ()
     robot = start("robot", "--script", "1:start", *fault)
     wait_for(robot, "simulated")
     deploy = start("deploy", "--out", str(tmp_path / "walk.npz"), *TOLERANT)

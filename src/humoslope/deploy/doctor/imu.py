@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,7 @@ def _age(walk: Walk, contract: Contract, folder: Path, sign: float) -> Finding:
     return Finding("age of the IMU", abs(lag) > LATE_MS, f"it is {lag:.0f} ms older than the encoders")
 
 
+@lru_cache(maxsize=1)
 def _reference(contract: Contract, folder: Path) -> tuple[Array, Array]:
     """Gyroscope [K, 3] and features [K, F] of simulated walks."""
     gyro, features = [], []

@@ -17,6 +17,11 @@ EXPLAINED = 0.04
 """Share of a motor's torque, as a mean square, that an encoder of another joint may leave unexplained."""
 FITS = 0.5
 """Share of a joint's torque, as a root mean square, that may stay unexplained."""
+WELL = 0.2
+"""Share of a joint's torque, as a root mean square, that may stay unexplained by its own encoder if it is the right
+one."""
+FEWEST = 20
+"""Smallest number of control steps for a fit."""
 SHARE = 0.95
 """Torques beyond this share of the limit are cut off, and tell nothing of gains."""
 LATEST = 5
@@ -55,10 +60,16 @@ def _explain(walk: Walk, contract: Contract, late: int) -> tuple[NDArray[np.int6
     joints = contract.joints
     target, rows = _targets(walk, late)
     torque, position, velocity = walk.torque[rows], walk.joint_pos[rows], walk.joint_vel[rows]
+    # Gains that are out on the whole must not make encoders look exchanged.
+    own = _fitted(walk, contract, late, walk.joint_pos, walk.joint_vel, WELL)
+    known = ~np.isnan(own[:, 0])
+    factors = np.median(own[known], axis=0) if known.mean() >= 0.5 else np.ones(2)
     owner, sign, left = np.arange(len(joints)), np.ones(len(joints)), np.zeros(len(joints))
     for j, joint in enumerate(joints):
         power = max(float(np.square(torque[:, j]).mean()), 1e-9)
-        rest = np.stack([_rest(joint, target[:, j], torque[:, j], sense, position, velocity) for sense in (1.0, -1.0)])
+        rest = np.stack(
+            [_rest(joint, factors, target[:, j], torque[:, j], sense, position, velocity) for sense in (1.0, -1.0)]
+        )
         backward, other = divmod(int(np.argmin(rest)), len(joints))
         # Another encoder must explain the torque well, and far better: joints that hardly move look alike.
         if rest[backward, other] > EXPLAINED * power or rest[backward, other] > 0.25 * rest[0, j]:
@@ -68,9 +79,12 @@ def _explain(walk: Walk, contract: Contract, late: int) -> tuple[NDArray[np.int6
     return owner, sign, float(np.median(left))
 
 
-def _rest(joint: Joint, target: Array, torque: Array, sense: float, position: Array, velocity: Array) -> Array:
+def _rest(
+    joint: Joint, factors: Array, target: Array, torque: Array, sense: float, position: Array, velocity: Array
+) -> Array:
     """Mean square of what each encoder [J], counting in this sense, leaves unexplained of a motor's torque [T]."""
-    pull = joint.stiffness_nm_rad * (target[:, None] - sense * position) - joint.damping_nms_rad * sense * velocity
+    stiffness, damping = factors * [joint.stiffness_nm_rad, joint.damping_nms_rad]
+    pull = stiffness * (target[:, None] - sense * position) - damping * sense * velocity
     limited = np.clip(pull, -joint.effort_limit_nm, joint.effort_limit_nm)
     return np.asarray(np.square(torque[:, None] - limited).mean(axis=0))
 
@@ -96,27 +110,36 @@ def _other_side(name: str) -> str:
     return name.replace("left", "\0").replace("right", "left").replace("\0", "right")
 
 
-def _gains(walk: Walk, contract: Contract, late: int, position: Array, velocity: Array) -> Finding:
-    """Fits torque = a stiffness (target - position) - b damping velocity for each joint."""
+def _fitted(walk: Walk, contract: Contract, late: int, position: Array, velocity: Array, fits: float) -> Array:
+    """Factors on stiffness and damping that explain the torque of each joint, [J, 2]; NaN where none do.
+
+    Args:
+        walk: The walk.
+        contract: The contract.
+        late: Delay, control steps.
+        position: [T, J] position of each joint, rad.
+        velocity: [T, J] velocity of each joint, rad/s.
+        fits: Share of the torque, as a root mean square, that may stay unexplained.
+    """
     target, rows = _targets(walk, late)
     torque, position, velocity = walk.torque[rows], position[rows], velocity[rows]
     factors = np.full((len(contract.joints), 2), np.nan)
     for j, joint in enumerate(contract.joints):
         free = np.abs(torque[:, j]) < SHARE * joint.effort_limit_nm
         parts = np.stack(
-            [
-                joint.stiffness_nm_rad * (target[:, j] - position[:, j]),
-                -joint.damping_nms_rad * velocity[:, j],
-            ],
-            axis=1,
+            [joint.stiffness_nm_rad * (target[:, j] - position[:, j]), -joint.damping_nms_rad * velocity[:, j]], axis=1
         )[free]
-        if len(parts) < 20 or not parts.any(axis=0).all():
+        if len(parts) < FEWEST or not parts.any(axis=0).all():
             continue
-        fitted, _, _, _ = np.linalg.lstsq(parts, torque[free, j], rcond=None)
+        factor, _, _, _ = np.linalg.lstsq(parts, torque[free, j], rcond=None)
         size = float(np.linalg.norm(torque[free, j]))
-        rest = float(np.linalg.norm(torque[free, j] - parts @ fitted)) / max(size, 1e-9)
-        if rest < FITS:
-            factors[j] = fitted
+        if float(np.linalg.norm(torque[free, j] - parts @ factor)) < fits * max(size, 1e-9):
+            factors[j] = factor
+    return factors
+
+
+def _gains(walk: Walk, contract: Contract, late: int, position: Array, velocity: Array) -> Finding:
+    factors = _fitted(walk, contract, late, position, velocity, FITS)
     known = ~np.isnan(factors[:, 0])
     if not known.any():
         return Finding("gains", True, "the torques follow no position control")
@@ -126,9 +149,8 @@ def _gains(walk: Walk, contract: Contract, late: int, position: Array, velocity:
         for j, joint in enumerate(contract.joints)
         if known[j] and abs(factors[j, 0] - stiffness) > 3.0 * GAIN
     ]
-    words = (
-        f"stiffness is {stiffness:.2f} and damping {damping:.2f} times the contract's (median of {known.sum()} joints)"
-    )
+    count = int(known.sum())
+    words = f"stiffness is {stiffness:.2f} and damping {damping:.2f} times the contract's (median of {count} joints)"
     wrong = abs(stiffness - 1.0) > GAIN or abs(damping - 1.0) > 2.0 * GAIN
     if off and not wrong:
         words += f"; {', '.join(off[:4])}"

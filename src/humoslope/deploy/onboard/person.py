@@ -21,19 +21,24 @@ class Person:
 
     Args:
         script: Actions such as "1:start 5:lower 8:forward=0.6", each with its time in s.
+        waits: Count the time from the first command to the motors, not from the start.
 
     Raises:
         UserError: If the script cannot be read.
     """
 
-    def __init__(self, script: str) -> None:
+    def __init__(self, script: str, waits: bool = False) -> None:
         self._actions = sorted((_action(part) for part in script.split()), key=lambda action: action[0])
+        self._begun: float | None = None if waits else 0.0
         self._pressed: list[tuple[float, str]] = []  # until when, and what
 
     def act(self, robot: SimulatedRobot) -> None:
         """Does what is due."""
         remote = robot.remote
-        while self._actions and robot.time >= self._actions[0][0]:
+        if self._begun is None and robot.commands:
+            self._begun = robot.time
+        now = -1.0 if self._begun is None else robot.time - self._begun
+        while self._actions and now >= self._actions[0][0]:
             _, what, value = self._actions.pop(0)
             if what == "lower":
                 robot.lower()

@@ -136,7 +136,8 @@ def command(state: State, now: float, contract: Contract, walking: Array | None 
     if state.mode is Mode.WAIT:
         return None
     if state.mode is Mode.ZERO_TORQUE:
-        return Command(zeros, zeros, zeros)
+        # Without gains targets mean nothing; but a command of zeros alone could not be told from none.
+        return Command(default, zeros, zeros)
     if state.mode is Mode.DAMPING:
         return damping(contract)
     target = default

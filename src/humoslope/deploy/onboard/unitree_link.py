@@ -28,6 +28,29 @@ KNOWN_COMMANDS = 16
 """Number of own commands that may still be under way."""
 
 
+def load_sdk(interface: str, only_loopback: bool = False) -> Any:
+    """Returns the package.
+
+    Args:
+        interface: Name of the network interface that it will be used with.
+        only_loopback: Refuse any other; on a network a simulated robot would answer for a real one.
+
+    Raises:
+        UserError: If the package is missing, or there is no such network interface.
+    """
+    if only_loopback and interface != LOOPBACK:
+        raise UserError(f"a simulated robot speaks on the loopback interface '{LOOPBACK}' only, not on '{interface}'.")
+    names = [name for _, name in socket.if_nameindex()]
+    if interface not in names:
+        raise UserError(f"there is no network interface '{interface}'; there are: {', '.join(names)}.")
+    try:
+        return import_module("unitree_interface")
+    except ImportError:
+        raise UserError(
+            f"Unitree's SDK is not installed; `{INSTALL}` installs it, on Linux with Python up to 3.12."
+        ) from None
+
+
 def open_interface(interface: str, tag: str) -> Any:
     """Returns the package's interface to a G1 on a network interface.
 
@@ -36,17 +59,9 @@ def open_interface(interface: str, tag: str) -> Any:
         tag: Participants with another tag are not heard; empty on a real robot.
 
     Raises:
-        UserError: If the package is missing, or there is no such network interface.
+        UserError: See `load_sdk`; or the package cannot use the interface.
     """
-    names = [name for _, name in socket.if_nameindex()]
-    if interface not in names:
-        raise UserError(f"there is no network interface '{interface}'; there are: {', '.join(names)}.")
-    try:
-        sdk = import_module("unitree_interface")
-    except ImportError:
-        raise UserError(
-            f"Unitree's SDK is not installed; `{INSTALL}` installs it, on Linux with Python up to 3.12."
-        ) from None
+    sdk = load_sdk(interface)
     chosen = f'<NetworkInterface name="{interface}" multicast="true"/>'
     discovery = f"<Discovery><Tag>{tag}</Tag></Discovery>" if tag else ""
     config = (
@@ -160,10 +175,7 @@ class UnitreeRobot:
     """
 
     def __init__(self, contract: Contract, interface: str, tag: str) -> None:
-        if interface != LOOPBACK:
-            raise UserError(
-                f"a simulated robot speaks on the loopback interface '{LOOPBACK}' only, not on '{interface}'."
-            )
+        load_sdk(interface, only_loopback=True)
         self._motors = np.array(motor_of_joint(contract))
         self._robot = open_interface(interface, tag)
         self._sdk = import_module("unitree_interface")
