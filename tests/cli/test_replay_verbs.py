@@ -180,4 +180,6 @@ def test_meshes_are_asked_for_by_the_name_of_a_robot(
     fetched = []
     monkeypatch.setattr("humoslope.cli.meshes.fetch_meshes", lambda name, source: fetched.append(name) or Path("."))
     assert main(["meshes"]) == 0
-    assert fetched == ["unitree_g1"]
+    assert fetched == ["unitree_g1", "unitree_g1_solid"]  # a recording asks by the name of the one that it shows
+    assert main(["meshes", "unitree_g1_solid"]) == 0
+    assert fetched[2:] == ["unitree_g1_solid"]
