@@ -13,19 +13,19 @@ def meshes(robot: str | None = None, /) -> None:
     """Fetches the published meshes of a robot into .meshes; by default it is drawn with plain shapes.
 
     Args:
-        robot: Name of the robot; by default every robot with meshes.
+        robot: Name of the robot; not needed where there is only one robot with meshes.
     """
     robots = [build_task(task).env.scene.robot for task in all_tasks()]
     sources = {known.name: known.meshes for known in robots if known.meshes is not None}
-    if robot is not None and robot not in sources:
-        raise unknown("robot with meshes", robot, sources)
-    if not sources:
-        raise UserError("no robot has meshes.")
-    for name in sorted(sources) if robot is None else [robot]:
-        source = sources[name]
-        print(f"fetching {source.package} {source.version}, which carries the meshes of {name}", flush=True)
-        folder = fetch_meshes(name, source)
-        print(f"{source.licence}\nwrote {folder}")
+    if robot is None and len(sources) != 1:
+        raise UserError(f"name a robot; there are meshes of {', '.join(sorted(sources)) or 'none'}.")
+    name = next(iter(sources)) if robot is None else robot
+    if name not in sources:
+        raise unknown("robot with meshes", name, sources)
+    source = sources[name]
+    print(f"fetching {source.package} {source.version}, which carries the meshes of {name}", flush=True)
+    folder = fetch_meshes(name, source)
+    print(f"{source.licence}\nwrote {folder}")
 
 
 def run(arguments: list[str]) -> None:
