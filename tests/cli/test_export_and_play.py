@@ -33,13 +33,13 @@ def test_a_run_is_exported_beside_its_newest_checkpoint_with_its_own_configurati
     assert "harness, which still had 100 % of its strength" in printed
     contract = contracts.read(tmp_path / "model_10.export")
     assert contract.joints[3].action_scale_rad == 0.5 * UNITREE_G1.action_scale[3]
-    assert contract.commands.forward_m_s == (0.2, 0.4)
+    assert contract.commands.forward_m_s == (-0.5, 0.4)  # backward is one of the modes
     assert contract.timing.physics_step_s == 0.005  # of the evaluation, not of the preset
 
     assert main(["play", str(tmp_path / "model_10.export"), "--headless", "--seconds", "5"]) == 0
     printed = capsys.readouterr().out
     assert re.search(r"It fell after \d\.\d s\. Distance ", printed)
-    assert "It was trained at 0.2 to 0.4 m/s." in printed
+    assert "It was trained at -0.5 to 0.4 m/s." in printed
 
 
 def test_one_trial_is_reported_and_several_are_counted(exported: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -70,7 +70,7 @@ def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
     (folder / SUMS).unlink()  # the change is meant
     assert main(["play", str(folder), "--headless", "--seconds", "0.5", "--speed", "0", "--trials", "2"]) == 0
     printed = capsys.readouterr().out
-    assert "It was trained at 0.3 to 0.8 m/s, and not to stand." in printed
+    assert "It was trained at -0.5 to 0.8 m/s, and not to stand." in printed
     assert re.search(r"Means: drift 0\.\d+ m; from 2 s on creep -, - steps per second\.", printed)
 
 

@@ -173,11 +173,11 @@ def test_meshes_are_asked_for_by_the_name_of_a_robot(
     mistake: Callable[..., str], walked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "robot with meshes 'unitree_g2' does not exist; did you mean 'unitree_g1'?" in mistake(
+    assert "robot with meshes 'unitree_g2' does not exist; did you mean 'unitree_g1_solid'?" in mistake(
         "meshes", "unitree_g2"
     )
     assert "`humoslope meshes` fetches them" in mistake("replay", str(walked), "--meshes", "--save", "walk.rrd")
     fetched = []
     monkeypatch.setattr("humoslope.cli.meshes.fetch_meshes", lambda name, source: fetched.append(name) or Path("."))
     assert main(["meshes"]) == 0
-    assert fetched == ["unitree_g1"]
+    assert fetched == ["unitree_g1_solid"]

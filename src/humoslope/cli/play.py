@@ -82,9 +82,11 @@ def _introduction(contract: Contract, cfg: TrialCfg) -> str:
         f"{timing.physics_step_s * 1e3:g} ms x {contract.decimation}"
     )
     low, high = commands.forward_m_s
-    if low <= cfg.speed <= high or (commands.trained_to_stand and cfg.speed == 0.0):
+    stands = cfg.speed == 0.0 and not cfg.yaw_rate
+    # A range from backward to forward passes through zero, and says nothing about standing.
+    if commands.trained_to_stand if stands else low <= cfg.speed <= high:
         return text
-    stand = ", and not to stand" if cfg.speed == 0.0 else ""
+    stand = ", and not to stand" if stands else ""
     return f"{text}\n[yellow]It was trained at {low:g} to {high:g} m/s{stand}.[/yellow]"
 
 

@@ -18,7 +18,7 @@ from humoslope.learning import checkpoint
 TASK = "FastTD3-IsaacLab-Unitree-G1"
 TINY = [
     *("--preset", "cpu", "--env.num-envs", "8", "--env.sim.device", "cpu"),
-    *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "7"),
+    *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "9"),
     *("--agent.num-steps-per-env", "4", "--agent.save-interval", "1", "--agent.learning-starts", "4"),
     *("--agent.hidden-dims", "16", "8", "--agent.critic-hidden-dims", "16", "--agent.num-atoms", "11"),
     *("--agent.batch-size", "16", "--agent.buffer-steps", "32", "--agent.no-mixed-precision"),
