@@ -10,7 +10,9 @@ import torch
 
 from humoslope.cli import VERBS, main
 from humoslope.learning import checkpoint
+from humoslope.seal import sealed
 from tests import processes
+from tests.learning.states import checkpoint_state
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
 OTHER_TASK = "HumoSlope-Stage1-NoZMP-Unitree-G1"
@@ -77,7 +79,7 @@ def test_a_policy_walks_in_a_process_of_its_own(folder, untrained, verb, options
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["train"], "train needs a task: HumoSlope-Stage1-"),
+        (["train"], "train needs a task: FastTD3-IsaacLab-Unitree-G1, "),
         (["train", "--env.num-envs", "3"], "train needs a task"),
         (["train", "HumoSlope-Stage1-Unitree-G2"], f"did you mean '{TASK}'?"),
         (["terrain", "ramp-upp"], "did you mean 'ramp-up'?"),
@@ -177,7 +179,7 @@ def test_the_impossible_is_refused_before_anything_is_written(mistake, folder, o
     assert content(folder) == before
 
 
-STATE = {"policy": {}, "task": TASK, "format": checkpoint.FORMAT}
+STATE = checkpoint_state(task=TASK, format=checkpoint.FORMAT)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +201,7 @@ def test_a_run_does_not_resume_from_what_is_not_its_checkpoint(mistake, folder, 
     else:
         torch.save(state, path)
         if state is not STATE:  # which lacks its checksum
-            path.write_bytes(checkpoint.sealed(path.read_bytes()))
+            path.write_bytes(sealed(path.read_bytes()))
     before = content(folder)
     answer = mistake("train", TASK, *SMALL, "--resume", "run")
     assert said in answer

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -92,12 +93,21 @@ def test_a_certificate_that_was_stopped_again_and_again_ends_as_one_that_was_not
         before = len(part.store)
 
         def stop(done: int, left: int, interrupt: Interrupt = interrupt, before: int = before) -> None:
-            interrupt.requested = done >= before + 100
+            interrupt.number = signal.SIGINT if done >= before + 100 else 0
 
         finished = part.run(interrupt, 1, stop)
     assert calls > 3
     assert trials_run == len(whole.store)  # none was run twice
     assert part.report() == whole.report()
+
+
+def test_a_trial_that_ended_early_is_kept_without_its_numbers(tmp_path: Path) -> None:
+    path, early = tmp_path / "trials.json", Trial(True, 1.0, 0.2, *[float("nan")] * 7)
+    store = margins.TrialStore(path, "these")
+    store.add(("load", 4.0, 0), early)
+    store.save()
+    assert "NaN" not in path.read_text()
+    assert repr(margins.TrialStore(path, "these").get(("load", 4.0, 0))) == repr(early)
 
 
 def test_a_damaged_or_foreign_file_of_trials_is_not_used(

@@ -15,6 +15,8 @@ TINY = [
     *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "9"),
     *("--agent.num-steps-per-env", "4", "--agent.num-mini-batches", "2", "--agent.num-learning-epochs", "1"),
     *("--agent.hidden-dims", "16", "16", "--agent.save-interval", "1", "--agent.no-mixed-precision"),
+    # An entropy bonus that falls until the last iteration is none of rsl_rl's, and another one where more are added.
+    *("--agent.final-entropy-coef", "None"),
 ]
 
 

@@ -63,3 +63,12 @@ def test_the_schedule_is_fixed_only_while_the_actor_is_held(task, tiny):
         trainer.iterate()
         schedules.append(trainer.learner.alg.schedule)
     assert schedules == ["fixed", "fixed", "adaptive"]
+
+
+def test_the_entropy_bonus_falls_linearly_until_the_last_iteration(task, tiny):
+    trainer = make_trainer(task, tiny, "--agent.max-iterations", "3", "--agent.final-entropy-coef", "0.001")
+    weights = []
+    for _ in range(3):
+        trainer.iterate()
+        weights.append(trainer.learner.alg.entropy_coef)
+    assert weights == pytest.approx([0.003, 0.002, 0.001], rel=1e-12)

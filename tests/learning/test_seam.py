@@ -91,7 +91,7 @@ def test_a_signal_stops_it_with_a_checkpoint_and_it_resumes(
     folder = tmp_path / "run"
     with monkeypatch.context() as patch:
         patch.setattr(ProgressLine, "show", interrupt)
-        assert main(["train", name, "--run-dir", str(folder), *TINY, "--agent.max-iterations", "1000"]) == 0
+        assert main(["train", name, "--run-dir", str(folder), *TINY, "--agent.max-iterations", "1000"]) == 143
     assert checkpoint.latest(folder).name == "model_1.pt"
     assert main(["train", name, "--resume", str(folder), "--agent.max-iterations", "4"]) == 0
     state = checkpoint.load(folder / "model_3.pt", name)

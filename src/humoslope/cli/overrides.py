@@ -85,7 +85,7 @@ def _robot(info: StructTypeInfo) -> StructConstructorSpec | None:
 
 def _config(info: StructTypeInfo) -> StructConstructorSpec | None:
     # As tyro would list it, but with the ranges in the help.
-    if not isinstance(info.default, StrictCfg | TerrainGridCfg):
+    if not isinstance(info.default, StrictCfg | TerrainGridCfg) or isinstance(info.default, TermCfg):
         return None
     cfg: Any = info.default
     hints, values = get_type_hints(type(cfg)), {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}

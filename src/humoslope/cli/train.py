@@ -115,7 +115,8 @@ def _train(
             _introduce_origin(console, cfg, origin)
             if env.device.type == "cpu" and (advice := thread_advice()):
                 console.print(f"[yellow]{advice}[/yellow]", soft_wrap=True)
-        if not trainer.train():
+        # A launcher of several processes takes any other code than 0 for a failure, and ends those that still save.
+        if not trainer.train() and processes.size == 1:
             raise Terminated(trainer.stopped_by)
 
 

@@ -108,7 +108,8 @@ def _written(trial: Trial) -> dict[str, Any]:
 
 def _read(fields: dict[str, Any]) -> Trial:
     """The trial of which `_written` made `fields`."""
-    return Trial(**{name: math.nan if value is None else value for name, value in fields.items()})
+    numbers: dict[str, Any] = {name: math.nan if value is None else value for name, value in fields.items()}
+    return Trial(**numbers)
 
 
 @dataclass
