@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from collections.abc import Callable
@@ -65,13 +66,16 @@ def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
     )
     assert "trained at" not in printed
     folder = Path(shutil.copytree(exported, tmp_path / "never stood"))
-    text = (folder / contracts.FILE).read_text()
-    (folder / contracts.FILE).write_text(text.replace('"trained_to_stand": true', '"trained_to_stand": false'))
-    (folder / SUMS).unlink()  # the change is meant
-    assert main(["play", str(folder), "--headless", "--seconds", "0.5", "--speed", "0", "--trials", "2"]) == 0
-    printed = capsys.readouterr().out
-    assert "It was trained at -0.5 to 0.8 m/s, and not to stand." in printed
-    assert re.search(r"Means: drift 0\.\d+ m; from 2 s on creep -, - steps per second\.", printed)
+    (folder / SUMS).unlink()  # the changes are meant
+    raw = json.loads((folder / contracts.FILE).read_text())
+    raw["commands"]["trained_to_stand"] = False
+    for speeds, said in (([0.3, 0.8], "0.3 to 0.8"), ([-0.5, 0.8], "-0.5 to 0.8")):
+        raw["commands"]["forward_m_s"] = speeds
+        (folder / contracts.FILE).write_text(json.dumps(raw))
+        assert main(["play", str(folder), "--headless", "--seconds", "0.5", "--speed", "0", "--trials", "2"]) == 0
+        printed = capsys.readouterr().out
+        assert f"It was trained at {said} m/s, and not to stand." in printed
+        assert re.search(r"Means: drift 0\.\d+ m; from 2 s on creep -, - steps per second\.", printed)
 
 
 def test_a_window_is_opened_where_there_is_a_display(

@@ -17,6 +17,7 @@ from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.player import Player, TrialCfg
 from humoslope.deploy.quantities import Measured
+from humoslope.seal import SUMS
 
 
 @pytest.fixture(scope="session")
@@ -41,6 +42,7 @@ def spoil(exported: Path, tmp_path: Path) -> Callable[..., Path]:
 
     def make(change: Callable[[Any], object] = lambda raw: None, network: bytes | None = None) -> Path:
         folder = Path(shutil.copytree(exported, tmp_path / "spoilt"))
+        (folder / SUMS).unlink()  # the change is meant
         raw = json.loads((folder / contracts.FILE).read_text())
         if network is not None:
             (folder / raw["network"]["file"]).write_bytes(network)

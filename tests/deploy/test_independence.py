@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-SHARED = {"humoslope.errors", "humoslope.statistics"}
-"""What it may use of the rest: sentences for mistakes, and an interval for a share."""
+SHARED = {f"humoslope.{name}" for name in ("errors", "files", "interrupts", "seal", "statistics")}
+"""What it may use of the rest: sentences for mistakes, files and their seals, signals, and an interval for a share."""
 
 CODE = """
 import sys

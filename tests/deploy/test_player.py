@@ -25,8 +25,9 @@ from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.evaluation.ramps import run_trials as run_ramps
 from humoslope.evaluation.ramps import summarise as summarise_ramps
 from humoslope.export.policy import make_contract
+from humoslope.learning import checkpoint
+from humoslope.learning.configuration import trained_cfg
 from humoslope.learning.policy import Actor, load_actor
-from humoslope.registry import build_task
 
 WORLDS = 4
 
@@ -37,7 +38,9 @@ def flat(stage1_checkpoint: Path) -> Callable[[float], tuple[ManagerBasedRlEnv, 
 
     def make(seconds: float) -> tuple[ManagerBasedRlEnv, Actor, RampProtocol]:
         protocol = RampProtocol(grades=(0.0,), starts=WORLDS, seconds=seconds)
-        cfg = ramp_env_cfg(build_task("HumoSlope-Stage1-Unitree-G1").env, protocol)
+        # As it was trained: today's task shows its actor older measurements.
+        trained = trained_cfg(stage1_checkpoint, checkpoint.load(stage1_checkpoint))
+        cfg = ramp_env_cfg(trained.env, protocol)
         cfg.sim.backend, cfg.sim.device = "native", "cpu"
         env = ManagerBasedRlEnv(cfg)
         return env, load_actor(stage1_checkpoint, env), protocol
