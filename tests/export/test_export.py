@@ -39,6 +39,8 @@ from robots.unitree_g1 import UNITREE_G1
 
 Change = Callable[[EnvCfg], None]
 
+pytestmark = pytest.mark.usefixtures("shared_operators")
+
 
 @pytest.fixture(scope="module")
 def env(make_stage1: Callable[..., ManagerBasedRlEnv]) -> ManagerBasedRlEnv:

@@ -91,7 +91,7 @@ class TrialStore:
 
     def save(self) -> None:
         """Writes the file."""
-        trials = [[key, asdict(trial)] for key, trial in sorted(self._trials.items())]
+        trials = [[key, vars(trial)] for key, trial in sorted(self._trials.items())]
         write_text(self._path, json.dumps({"fingerprint": self._fingerprint, "trials": trials}))
         self._unsaved = 0
 
