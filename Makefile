@@ -89,7 +89,7 @@ recipe: $(STAMP) ## Compare changes to the CPU recipe in short trainings, some n
 	@$(MAKE) -f experiments/recipe.mk BIN=$(BIN) $(ARGS)
 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
-	$(BIN)/python -m pytest $(or $(ARGS),-n auto --dist loadfile --cov --cov-report=term:skip-covered --cov-fail-under=85)
+	$(BIN)/python -m pytest $(or $(ARGS),-n auto --dist worksteal --cov --cov-report=term:skip-covered --cov-fail-under=85)
 
 drills: $(STAMP) ## Kill, stop, damage and misuse everything, an hour or two; ARGS="--options 100" is shorter
 	$(BIN)/python -m tests.drills $(ARGS)

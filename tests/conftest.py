@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
@@ -97,6 +98,16 @@ def exported(stage1_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) 
         with suppress(OSError):  # another process was faster
             own.rename(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def shared_operators() -> Iterator[None]:
+    """For several exports. Torch compiles its 500 operators anew for each, which takes longer than the export."""
+    from torch.onnx._internal.exporter._registration import ONNXRegistry
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ONNXRegistry, "from_torchlib", staticmethod(cache(ONNXRegistry.from_torchlib)))
+        yield
 
 
 @pytest.fixture(scope="session")

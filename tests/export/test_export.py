@@ -40,6 +40,8 @@ from tasks.stage1 import SENSED
 
 Change = Callable[[EnvCfg], None]
 
+pytestmark = pytest.mark.usefixtures("shared_operators")
+
 
 @pytest.fixture(scope="module")
 def env(make_stage1: Callable[..., ManagerBasedRlEnv]) -> ManagerBasedRlEnv:

@@ -35,6 +35,8 @@ TINY = [
 ]
 TASKS = ["Toy-Td3", "Toy-Image"]
 
+pytestmark = pytest.mark.usefixtures("shared_operators")
+
 
 @pytest.fixture(scope="module", autouse=True)
 def _registered() -> Iterator[None]:

@@ -17,6 +17,7 @@ from humoslope.scene.scene import build_model
 from humoslope.sim import Simulation, make_simulation
 from humoslope.sim.warp import WarpSimulation
 from humoslope.slope import quaternion
+from humoslope.terrain.mjcf import add_height_field
 from humoslope.terrain.queries import TerrainQueries
 
 CELL, VERTICES, PERIOD = 0.1, 1081, 100
@@ -156,8 +157,7 @@ def _sphere_on(profile: Array, half: float) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.005
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    heights = np.tile(row / span, (VERTICES, 1)).astype(np.float32).ravel()
-    spec.add_hfield(name="ground", size=[half, half, span, 1.0], nrow=VERTICES, ncol=VERTICES, userdata=heights)
+    add_height_field(spec, "ground", np.tile(row / span, (VERTICES, 1)).astype(np.float32), (half, half, span, 1.0))
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground")
     sphere = spec.worldbody.add_body()
     sphere.add_freejoint()

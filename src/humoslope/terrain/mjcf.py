@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from humoslope.terrain.grid import Terrain
 
 TERRAIN_GEOM = "terrain"
 """Name of the geom that is the ground."""
-_FILE = "terrain.hfield"
 BASE_THICKNESS = 1.0
 """Solid ground below the lowest height, m; a thin base lets a fast foot pass through."""
 
@@ -36,10 +36,22 @@ def add_terrain(spec: mujoco.MjSpec, terrain: Terrain) -> None:
         return
     span = float(terrain.heights.max()) - low
     fractions = ((terrain.heights.astype(np.float64) - low) / span).astype(np.float32)
-    # In MuJoCo's file format; a million `userdata` would be converted one by one. Rows run along y, columns along x.
-    file = np.array([ny, nx], dtype=np.int32).tobytes() + fractions.T.tobytes()
-    spec.assets = spec.assets | {_FILE: file}
-    spec.add_hfield(name=TERRAIN_GEOM, size=[half_x, half_y, span, BASE_THICKNESS], file=_FILE)
+    # Rows run along y, columns along x.
+    add_height_field(spec, TERRAIN_GEOM, fractions.T, (half_x, half_y, span, BASE_THICKNESS))
     spec.worldbody.add_geom(
         name=TERRAIN_GEOM, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=TERRAIN_GEOM, pos=centre, **contact
     )
+
+
+def add_height_field(
+    spec: mujoco.MjSpec, name: str, fractions: NDArray[np.float32], size: tuple[float, float, float, float]
+) -> None:
+    """Adds a height field to a spec, as a file in memory: MuJoCo would convert a million `userdata` one by one.
+
+    Args:
+        fractions: [rows along y, columns along x] heights, from 0 to 1 of `size[2]`.
+        size: Half extents along x and y, height of 1, and thickness of the base, m.
+    """
+    file = np.array(fractions.shape, dtype=np.int32).tobytes() + fractions.astype(np.float32).tobytes()
+    spec.assets = spec.assets | {f"{name}.hfield": file}
+    spec.add_hfield(name=name, size=list(size), file=f"{name}.hfield")

@@ -103,7 +103,7 @@ class TrialStore:
 
 def _written(trial: Trial) -> dict[str, Any]:
     """A trial in JSON types, which have no NaN."""
-    return {name: None if math.isnan(value) else value for name, value in asdict(trial).items()}
+    return {name: None if math.isnan(value) else value for name, value in vars(trial).items()}
 
 
 def _read(fields: dict[str, Any]) -> Trial:
