@@ -33,9 +33,12 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_leftovers(path.parent, path.name)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
+        temporary = Path(name)
     except OSError as error:
         raise _unwritten(path, error) from None
-    temporary = Path(name)
+    except BaseException:  # a signal while the file was being made, the name of which is lost
+        remove_leftovers(path.parent, path.name)
+        raise
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
         write(temporary)
