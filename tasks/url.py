@@ -89,6 +89,7 @@ def url_literal() -> TaskCfg:
             events=randomisation(),
             curriculum=Terms(
                 harness=TermCfg(harness.HarnessCurriculum),
+                variety=TermCfg(harness.VaryCommands),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),
         ),

@@ -150,7 +150,7 @@ def test_an_episode_starts_with_readings_and_wrench_of_its_state_under_the_held_
             spin = np.zeros(6)
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, torso, spin, 0)
             lean = np.cross(data.xmat[torso].reshape(3, 3)[:, 2], [0.0, 0.0, 1.0])
-            data.xfrc_applied[root, 2] = 0.35 * robot.total_mass * 9.81
+            data.xfrc_applied[root, 2] = 0.5 * robot.total_mass * 9.81
             data.xfrc_applied[torso, 3:5] = (120.0 * lean - 3.0 * spin[:3])[:2]
             np.testing.assert_allclose(wrench[world].numpy(), data.xfrc_applied, atol=1e-3)
             data.xfrc_applied = wrench[world].numpy()

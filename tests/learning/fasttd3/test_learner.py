@@ -276,7 +276,7 @@ def test_half_of_a_batch_is_mirrored(make_stage1: Callable[..., Any]) -> None:
         ({"v_min": 3.0, "v_max": 3.0}, "agent.v_min 3 must be less than v_max 3."),
         ({"num_atoms": 1}, r"agent\.num_atoms is 1; it must be 2 or more\."),
         ({"exploration_std": (0.3, 0.1)}, r"agent\.exploration_std is \(0\.3, 0\.1\); it must be \(lowest, highest\)"),
-        ({"critic_hidden_dims": ()}, r"agent.critic_hidden_dims \(\) must be one or more widths"),
+        ({"critic_hidden_dims": ()}, r"agent.critic_hidden_dims is \(\); it must have at least one\.$"),
         ({"batch_size": 0}, r"agent\.batch_size is 0; it must be 1 or more\."),
     ],
 )

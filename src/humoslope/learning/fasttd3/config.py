@@ -9,12 +9,13 @@ import torch
 
 from humoslope.errors import UserError
 from humoslope.learning.config import AgentCfg
-from humoslope.ranges import Finite, NotNegative, NotNegativeSpan, Positive, Range, Share
+from humoslope.ranges import Finite, NotEmpty, NotNegative, NotNegativeSpan, Positive, Range, Share
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv
     from humoslope.learning.learner import Learner
 
+Widths = Annotated[tuple[Annotated[int, Range(1, 16_384)], ...], NotEmpty()]
 Count = Annotated[int, Range(1)]
 Discount = Annotated[float, Range(0.0, 1.0, open_high=True)]
 Rate = Annotated[float, Range(0.0, 1.0, open_low=True)]
@@ -53,8 +54,8 @@ class FastTd3Cfg(AgentCfg):
         mixed_precision: Run the updates in bfloat16; pays on GPUs and on CPUs with bfloat16 instructions.
     """
 
-    hidden_dims: tuple[int, ...] = (512, 256, 128)
-    critic_hidden_dims: tuple[int, ...] = (1024, 512, 256)
+    hidden_dims: Widths = (512, 256, 128)
+    critic_hidden_dims: Widths = (1024, 512, 256)
     action_bound: Positive = 3.0
     num_atoms: Annotated[int, Range(2)] = 251
     v_min: Finite = -10.0
@@ -96,10 +97,6 @@ class FastTd3Cfg(AgentCfg):
         super().check()
         if self.v_min >= self.v_max:
             raise UserError(f"agent.v_min {self.v_min:g} must be less than v_max {self.v_max:g}.")
-        for name in ("hidden_dims", "critic_hidden_dims"):
-            widths = getattr(self, name)
-            if not widths or min(widths) < 1:
-                raise UserError(f"agent.{name} {widths} must be one or more widths of at least 1.")
 
     def build(self, env: ManagerBasedRlEnv) -> Learner:
         """Creates the learner for an environment with the observation groups "actor" and "critic"."""
