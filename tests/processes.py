@@ -62,7 +62,7 @@ def start(*arguments: str, path: Sequence[Path] = (), env: Mapping[str, str] | N
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(LIBRARIES))  # has an effect before the first process alone
-    output = TemporaryDirectory(prefix="humoslope-")
+    output = TemporaryDirectory(prefix="started-")
     variables = dict(os.environ) | dict(env or {})
     process = context.Process(target=_humoslope, args=(arguments, output.name, [*map(str, path)], variables))
     process.start()
