@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from multiprocessing.context import ForkServerProcess
@@ -77,6 +78,10 @@ def run(*arguments: str, path: Sequence[Path] = ()) -> Ended:
 def _humoslope(arguments: Sequence[str], output: str, path: list[str], variables: dict[str, str]) -> None:
     for descriptor, name in ((1, OUT), (2, ERR)):
         os.dup2(os.open(Path(output, name), os.O_WRONLY | os.O_CREAT), descriptor)
+    # As if started in the foreground: tests that run in the background would hand down an ignored SIGINT.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
     os.environ.clear()
     os.environ.update(variables)
     sys.path[:0] = path

@@ -90,7 +90,7 @@ def test_a_video_that_is_stopped_leaves_no_file_behind(
         assert video.poll() is None
         time.sleep(0.01)
     os.kill(video.pid, stop)
-    ended = video.wait()
+    ended = video.wait(patience_s=300.0)  # it must not outlive the test, whatever happens
     assert ended.returncode == 128 + stop
     assert ended.stderr == ("humoslope: interrupted.\n" if stop is signal.SIGINT else "humoslope: terminated.\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.npz", "walk.png"]
