@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from contextlib import redirect_stdout
+from pathlib import Path
 
 import pytest
 
@@ -67,3 +68,11 @@ def test_every_option_has_a_type_and_a_sentence(command: list[str], monkeypatch:
         assert sentence[0].isupper() or sentence[0] in "\"'", f"{name}: {sentence}"
         assert sentence.endswith("."), f"{name}: {sentence}"
         assert not NO_SENTENCE.match(sentence), f"{name}: {sentence}"
+
+
+def test_help_does_not_look_for_what_the_run_would_start_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    walker = tmp_path / "logs" / "HumoSlope-Stage1-Unitree-G1" / "run" / "model_1.pt"
+    walker.parent.mkdir(parents=True)
+    walker.touch()  # not calibrated, and no checkpoint at all
+    monkeypatch.chdir(tmp_path)
+    assert "--agent.gamma" in help_of(["train", TASK])

@@ -65,6 +65,9 @@ def run(arguments: list[str]) -> None:
     task, options = arguments[0], arguments[1:]
     earlier = build_task(task).start  # a typing mistake in the name is said before anything else
 
+    if {"-h", "--help"} & set(options):
+        parse(TrainArgs(), task, options)  # prints the options and exits, whatever the run would start from
+
     own = early(TrainArgs(), task, options)
     resumed = find_run(task, own.resume) if own.resume else None
     if resumed is None:
