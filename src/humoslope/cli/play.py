@@ -48,13 +48,15 @@ def run(arguments: list[str]) -> None:
     contract = contracts.read(options.folder)
     player = Player(options.folder, contract, cfg, options.conditions)
     if options.headless:
-        console.print(_introduction(contract, cfg), highlight=False, soft_wrap=True)
+        console.print(_introduction(contract, cfg, options.conditions), highlight=False, soft_wrap=True)
         console.print(_report(_run(console, player), cfg), highlight=False, soft_wrap=True)
         return
     from humoslope.deploy import window  # needs libraries that a machine without a display may lack
 
     window.check_display()
-    console.print(_introduction(contract, cfg), window.KEYS, sep="\n", highlight=False, soft_wrap=True)
+    console.print(
+        _introduction(contract, cfg, options.conditions), window.KEYS, sep="\n", highlight=False, soft_wrap=True
+    )
     window.live(player, console.print)
 
 
@@ -76,8 +78,9 @@ def _run(console: Console, player: Player) -> list[Trial]:
     return done
 
 
-def _introduction(contract: Contract, cfg: TrialCfg) -> str:
+def _introduction(contract: Contract, cfg: TrialCfg, conditions: Conditions) -> str:
     timing, training, commands = contract.timing, contract.training, contract.commands
+    timestep = conditions.timestep_s or timing.physics_step_s
     ground = f"a ramp of {cfg.grade:g} degrees" if cfg.grade else "flat ground"
     if cfg.cross:
         ground = f"a cross slope of {cfg.cross:g} degrees"
@@ -87,7 +90,7 @@ def _introduction(contract: Contract, cfg: TrialCfg) -> str:
     text = (
         f"[bold]{training.task}[/bold], iteration {training.iteration}, on {contract.robot.name}\n"
         f"{ground}, friction {cfg.friction:.3g}, {asked}; MuJoCo at "
-        f"{timing.physics_step_s * 1e3:g} ms x {contract.decimation}"
+        f"{timestep * 1e3:g} ms x {round(timing.control_step_s / timestep)}"
     )
     (low, high), (right, left) = commands.forward_m_s, commands.left_m_s
     # A range from backward to forward passes through zero, and says nothing about standing.

@@ -20,8 +20,8 @@ from humoslope.evaluation.margins.trials import Setup
 
 Name = Literal[
     "self-contact", "stand-creep", "stand-steps", "stand-falls", "speed", "falls", "sideways", "backward", "turning",
-    "manoeuvre-falls", "across-20-falls", "across-30-falls", "across-slip", "push-falls", "imu-falls", "imu-speed", "fast-targets",
-    "step-rate", "knee-flexion", "double-support",
+    "manoeuvre-falls", "across-20-falls", "across-30-falls", "across-slip", "push-falls", "imu-falls", "imu-speed",
+    "fast-targets", "step-rate", "knee-flexion", "double-support",
 ]  # fmt: skip
 """Names of the demands."""
 GRADES = (-20.0, 0.0, 20.0)

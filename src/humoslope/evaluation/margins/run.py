@@ -14,9 +14,9 @@ from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.player import Player, Trial, TrialCfg
 from humoslope.errors import UserError
-from humoslope.evaluation.margins.quantities import Name, Quantity, Setup, Success, quantities
+from humoslope.evaluation.margins.quantities import Name, Quantity, Success, quantities
 from humoslope.evaluation.margins.search import FIRST_LOOK, Rule, Search
-from humoslope.evaluation.margins.trials import Job, Key, TrialRunner, TrialStore, fingerprint
+from humoslope.evaluation.margins.trials import Job, Key, Setup, TrialRunner, TrialStore, fingerprint
 from humoslope.interrupts import Interrupt
 
 NOMINAL = "nominal"
