@@ -62,10 +62,10 @@ def test_one_trial_is_reported_and_several_are_counted(exported: Path, capsys: p
 def test_other_commands_begin_on_the_slope_and_conditions_are_options(
     exported: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ("--lateral", "-0.3", "--speed", "0", "--grade", "5", "--timestep-s", "0.01", "--load-kg", "2")
+    options = ("--lateral", "-0.1", "--speed", "0.4", "--grade", "5", "--timestep-s", "0.01", "--load-kg", "2")
     assert main(["play", str(exported), "--headless", "--seconds", "2.2", "--trials", "2", *options]) == 0
     printed = capsys.readouterr().out
-    assert "a ramp of 5 degrees, friction 0.8, 0 m/s, 0.3 m/s to the right asked; MuJoCo at 10 ms x 2" in printed
+    assert "a ramp of 5 degrees, friction 0.8, 0.4 m/s, 0.1 m/s to the right asked; MuJoCo at 10 ms x 2" in printed
     assert re.search(r"m/s ahead, -?[0-9.]+ m/s to the left, -?[0-9.]+ rad/s, ", printed)
 
 

@@ -243,7 +243,10 @@ def test_a_robot_touches_itself_where_two_of_its_parts_press_on_each_other(expor
         world.step(world._default)
     assert world.data.ncon > 0  # it stands
     assert not world.touches_itself()
-    world.model.geom_contype[:] = world.model.geom_conaffinity[:] = 1
+    for kind in (world.model.geom_contype, world.model.geom_conaffinity):
+        kind[:] = 1
+    for kind in (world.model.body_contype, world.model.body_conaffinity):
+        kind[:] = 1
     world.data.joint("left_shoulder_roll_joint").qpos[:] = -1.0
     mujoco.mj_forward(world.model, world.data)
     assert world.touches_itself()
