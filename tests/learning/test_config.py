@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from humoslope.cli.options import parse
-from humoslope.cli.overrides import merge_options
+from humoslope.words import merge_options
 from humoslope.cli.train import TrainArgs
 from humoslope.errors import UserError
 from humoslope.learning.config import AgentCfg, PpoCfg

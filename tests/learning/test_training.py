@@ -18,7 +18,7 @@ from rich.console import Console
 
 from humoslope.cli import main
 from humoslope.cli.options import parse
-from humoslope.cli.overrides import option_groups
+from humoslope.words import option_groups
 from humoslope.cli.train import TrainArgs
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from humoslope.cli.overrides import option_groups
+from humoslope.words import option_groups
 from humoslope.errors import UserError
 from humoslope.evaluation.report.compare import compare
 from humoslope.files import check_place, write_text

@@ -10,7 +10,7 @@ import torch
 from rich.console import Console
 
 from humoslope.cli.options import configuration_of, early, parse
-from humoslope.cli.overrides import merge_options, option_groups
+from humoslope.words import merge_options, option_groups
 from humoslope.cli.warm_start import Origin, find_origin
 from humoslope.cpu import thread_advice, usable_cores
 from humoslope.env import ManagerBasedRlEnv
