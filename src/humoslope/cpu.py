@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
-
 SHARE = "HUMOSLOPE_THREADS"
 """Environment variable with the most CPUs that a process is to use, for processes that share a machine."""
 

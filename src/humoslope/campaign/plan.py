@@ -94,40 +94,40 @@ class Plan:
         campaign: The campaign.
         folder: Folder of everything that it makes.
         jobs: Jobs; those of the first seed of every row first, as far as their parents allow.
+        walks: Environment steps of one evaluation by its name, if all its trials succeed at the commanded speed.
     """
 
     campaign: Campaign
     folder: Path
     jobs: dict[str, Job]
+    walks: dict[str, int]
 
 
 def make_plan(
     campaign: Campaign,
     folder: Path,
     resolve: Callable[[str, list[str]], Scale],
-    check: Callable[[Evaluation], None] = lambda evaluation: None,
+    check: Callable[[Evaluation], int] = lambda evaluation: 0,
 ) -> Plan:
     """The jobs of a campaign.
 
     Args:
         folder: Folder of everything that it makes.
         resolve: Gives the scale of a task with options; raises UserError if it does not accept them.
-        check: Raises UserError if the options of an evaluation are impossible.
+        check: Gives the environment steps of an evaluation; raises UserError if its options are impossible.
 
     Raises:
         UserError: If something in the file cannot be; the sentence names the key.
     """
-    return Plan(campaign, folder, _Planner(campaign, folder, resolve, check).jobs())
+    walks = {}
+    for evaluation in campaign.evaluations.values():
+        with _naming(campaign, f"evaluate.{evaluation.name}"):
+            walks[evaluation.name] = check(evaluation)
+    return Plan(campaign, folder, _Planner(campaign, folder, resolve).jobs(), walks)
 
 
 class _Planner:
-    def __init__(
-        self,
-        campaign: Campaign,
-        folder: Path,
-        resolve: Callable[[str, list[str]], Scale],
-        check: Callable[[Evaluation], None],
-    ) -> None:
+    def __init__(self, campaign: Campaign, folder: Path, resolve: Callable[[str, list[str]], Scale]) -> None:
         self._campaign, self._folder = campaign, folder
         self._scales: dict[str, Scale] = {}
         for row in campaign.trainings.values():
@@ -135,9 +135,6 @@ class _Planner:
                 self._scales[row.name] = resolve(row.task, ["--preset", campaign.preset, *row.options])
         for row in campaign.trainings.values():
             self._check_parent(row)
-        for evaluation in campaign.evaluations.values():
-            with _naming(campaign, f"evaluate.{evaluation.name}"):
-                check(evaluation)
 
     def jobs(self) -> dict[str, Job]:
         jobs: dict[str, Job] = {}

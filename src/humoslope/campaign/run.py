@@ -99,7 +99,9 @@ class Run:
         """Marks a job as failed, and all that need it as barred."""
         self.states[job.name], self.reasons[job.name] = "failed", reason
         for name, other in self.plan.jobs.items():  # each comes after those it needs
-            if self.states[name] == "waiting" and any(self.states[need] in ("failed", "barred") for need in other.needs):
+            if self.states[name] == "waiting" and any(
+                self.states[need] in ("failed", "barred") for need in other.needs
+            ):
                 self.states[name], self.reasons[name] = "barred", f"{job.name} failed"
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import tyro
 
-from humoslope.words import option_groups
 from humoslope.errors import UserError
 from humoslope.evaluation.report.compare import compare
 from humoslope.files import check_place, write_text
 from humoslope.learning.run_folder import saved_options
+from humoslope.words import option_groups
 
 
 @dataclasses.dataclass(frozen=True)
