@@ -13,10 +13,8 @@ SHARE = "HUMOSLOPE_THREADS"
 
 def usable_cores() -> int:
     """Returns the number of logical CPUs that a batch system or `taskset` leaves to this process, or its `SHARE`."""
-    if hasattr(os, "sched_getaffinity"):
-        there = len(os.sched_getaffinity(0))
-    else:
-        there = os.cpu_count() or 1  # macOS and Windows do not say more
+    # macOS and Windows do not say more than how many there are.
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     share = os.environ.get(SHARE, "")
     return min(there, int(share)) if share.isdecimal() and int(share) else there
 

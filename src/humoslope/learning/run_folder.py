@@ -113,7 +113,7 @@ def starts(run_dir: Path) -> list[Path]:
 
 
 def start_of(run_dir: Path) -> dict[str, Any] | None:
-    """What a run began with: its task, and the checkpoint that it started from under "from"; None if it does not say."""
+    """What a run began with: its "task", and "from" which checkpoint, or None; None if the folder does not say."""
     first = starts(run_dir)[:1]
     return _read(first[0] / "start.json") if first else None
 

@@ -2,8 +2,8 @@
 
 The method is the hierarchical bootstrap (Davison & Hinkley 1997, section 3.8): seeds are drawn with replacement, and in
 each of them trials. Two things are added for few seeds. Deviations of the seeds are scaled by sqrt(n / (n - 1)), and
-the interval by Student's quantile over the normal one, as Hesterberg (2015, section 5) advises: a bootstrap of three
-seeds alone is too narrow by half. And of shares, such as of successes, a trial is drawn from Jeffreys' posterior, so
+the interval by Student's quantile over the normal one, as Hesterberg (2015) advises against the
+narrowness of bootstraps of few. And of shares, such as of successes, a trial is drawn from Jeffreys' posterior, so
 that 96 of 96 is not taken for certainty. All draws are seeded.
 """
 
