@@ -21,6 +21,8 @@ from typing import Any
 from humoslope.campaign.file import OWN_OF_TRAINING
 from humoslope.campaign.plan import CALIBRATE, TRAIN, Job, Plan
 from humoslope.errors import UserError
+from humoslope.evaluation.report.results import CAMPAIGN
+from humoslope.files import write_bytes
 from humoslope.learning.logger import read_line
 from humoslope.learning.run_folder import saved_options, start_of
 from humoslope.seal import read_json
@@ -187,6 +189,14 @@ def held(folder: Path) -> Iterator[None]:
         os.close(handle)
         with suppress(OSError):
             folder.rmdir()  # if nothing came of it
+
+
+def leave_file(plan: Plan, folder: Path) -> None:
+    """Leaves a copy of the campaign's file in a folder: a record, and the order of its rows for tables."""
+    content = plan.campaign.path.read_bytes()
+    copy = folder / CAMPAIGN
+    if not copy.is_file() or copy.read_bytes() != content:
+        write_bytes(copy, content)
 
 
 def _without_paths(command_line: str) -> dict[str, list[str]]:

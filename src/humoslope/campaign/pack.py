@@ -15,6 +15,7 @@ from humoslope.campaign import disk
 from humoslope.campaign.plan import TRAIN, Job, Plan
 from humoslope.errors import UserError
 from humoslope.evaluation.report.curve import CURVE, read_curves, write_table
+from humoslope.evaluation.report.results import CAMPAIGN
 from humoslope.files import check_place, write_bytes, write_text
 from humoslope.learning import checkpoint
 
@@ -33,7 +34,7 @@ def pack(plan: Plan, out: Path) -> list[str]:
     """
     if out.resolve() == plan.folder.resolve():
         raise UserError(f"--pack '{out}' is the folder of the campaign itself; name another one.")
-    check_place(out / plan.campaign.path.name)
+    check_place(out / CAMPAIGN)
     written: list[str] = []
     for job in plan.jobs.values():
         if not disk.is_done(job):
@@ -41,6 +42,8 @@ def pack(plan: Plan, out: Path) -> list[str]:
         there = out / job.folder.relative_to(plan.folder)
         made = _training(job, there) if job.column == TRAIN else _result(job, there)
         written += [str(path.relative_to(out)) for path in made]
+    if written:
+        disk.leave_file(plan, out)
     return written
 
 

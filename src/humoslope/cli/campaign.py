@@ -82,6 +82,7 @@ def run(arguments: list[str]) -> None:
 def _run(plan: Plan, options: Options, console: Console) -> None:
     threads = options.threads or max(1, usable_cores() // options.jobs)
     with disk.held(plan.folder):
+        disk.leave_file(plan, plan.folder)
         state = Run(plan)
         with Board(state, console, options.jobs, options.speed) as board:
             stopped = run_jobs(state, options.jobs, threads, board.show)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ from humoslope.terrain.course import Segment
 
 HELD_OUT, SWEEP = "held-out", "sweep"
 """Kinds of result files."""
+CAMPAIGN = "campaign.toml"
+"""Copy of its file that a campaign leaves in its folder."""
 
 
 @dataclass(frozen=True)
@@ -328,21 +331,37 @@ def _files(source: str) -> list[tuple[str, Path]]:
 def _campaign_files(folder: Path) -> list[tuple[str, Path]]:
     """Results in the run folders of a campaign, FOLDER/ROW/seedN. A row is called by its task, or by its own name if
     another row trains the same task."""
-    rows: dict[str, list[tuple[int, Path]]] = {}
-    tasks: dict[str, set[str]] = {}
+    found: list[Path] = []
+    rows: dict[str, set[str]] = {}  # by their task
     for path in folder.glob("*/seed*/*.json"):
         try:
             report = read_json(path)
-            is_result, task = report["what"] in (HELD_OUT, SWEEP), report["checkpoints"][0]["task"]
+            if report["what"] in (HELD_OUT, SWEEP):
+                rows.setdefault(report["checkpoints"][0]["task"], set()).add(path.parent.parent.name)
+                found.append(path)
         except (OSError, ValueError, KeyError, TypeError, IndexError):
-            continue  # a calibration, ramps, or a file that `humoslope campaign` makes anew
-        seed = path.parent.name.removeprefix("seed")
-        if is_result and seed.isdecimal():
-            row = path.parent.parent.name
-            rows.setdefault(row, []).append((int(seed), path))
-            tasks.setdefault(task, set()).add(row)
-    shared = {row for of_task in tasks.values() if len(of_task) > 1 for row in of_task}
-    return [(row if row in shared else "", path) for row in sorted(rows) for _, path in sorted(rows[row])]
+            continue  # a calibration, or a file that the campaign makes anew
+    shared = {row for of_task in rows.values() if len(of_task) > 1 for row in of_task}
+    names = {path: path.parent.parent.name for path in found}
+    return [(names[path] if names[path] in shared else "", path) for path in by_row(folder, found, lambda p: p.parent)]
+
+
+def by_row(folder: Path, paths: Sequence[Path], run_folder: Callable[[Path], Path]) -> list[Path]:
+    """Files of a campaign's folder in the order of the rows in its file, and of the seeds.
+
+    Args:
+        run_folder: The run folder of each, ROW/seedN.
+    """
+    try:
+        order = list(tomllib.loads((folder / CAMPAIGN).read_text(encoding="utf-8"))["train"])
+    except (OSError, ValueError, KeyError, TypeError):
+        order = []
+
+    def place(path: Path) -> tuple[int, str, int, str, str]:
+        row, seed = run_folder(path).parent.name, run_folder(path).name
+        return order.index(row) if row in order else len(order), row, len(seed), seed, path.name
+
+    return sorted(paths, key=place)
 
 
 def _read(name: str, path: Path) -> Result:

@@ -40,8 +40,8 @@ SEEDS_NOTE = (
 )
 ONE_SEED_NOTE = "One seed: its interval is over trials alone, and says nothing about another training."
 CHANCE_NOTE = (
-    "Better or worse is said only where the interval of the difference is on one side of zero. Each interval stands for "
-    "itself: of twenty comparisons of methods that are alike, one may be so by chance."
+    "Better or worse is said only where the interval of the difference is on one side of zero. Each interval stands "
+    "for itself: of twenty comparisons of methods that are alike, one may be so by chance."
 )
 
 
