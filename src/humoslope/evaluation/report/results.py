@@ -329,21 +329,21 @@ def _files(source: str) -> list[tuple[str, Path]]:
 
 
 def _campaign_files(folder: Path) -> list[tuple[str, Path]]:
-    """Results in the run folders of a campaign, FOLDER/ROW/seedN. A row is called by its task, or by its own name if
-    another row trains the same task."""
+    """Results in the run folders of a campaign, FOLDER/ROW/seedN. Rows are called by their tasks if these are different,
+    else by their own names."""
     found: list[Path] = []
-    rows: dict[str, set[str]] = {}  # by their task
+    tasks: dict[str, str] = {}
     for path in folder.glob("*/seed*/*.json"):
         try:
             report = read_json(path)
             if report["what"] in (HELD_OUT, SWEEP):
-                rows.setdefault(report["checkpoints"][0]["task"], set()).add(path.parent.parent.name)
+                tasks[path.parent.parent.name] = report["checkpoints"][0]["task"]
                 found.append(path)
         except (OSError, ValueError, KeyError, TypeError, IndexError):
             continue  # a calibration, or a file that the campaign makes anew
-    shared = {row for of_task in rows.values() if len(of_task) > 1 for row in of_task}
-    names = {path: path.parent.parent.name for path in found}
-    return [(names[path] if names[path] in shared else "", path) for path in by_row(folder, found, lambda p: p.parent)]
+    by_task = len(set(tasks.values())) == len(tasks)
+    ordered = by_row(folder, found, lambda path: path.parent)
+    return [("" if by_task else path.parent.parent.name, path) for path in ordered]
 
 
 def by_row(folder: Path, paths: Sequence[Path], run_folder: Callable[[Path], Path]) -> list[Path]:
