@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import IO
 
@@ -97,7 +98,7 @@ class Humoslope:
             log.write(b"begun\nhumoslope: it cannot walk.\n")
             log.flush()
             return Ended(2)
-        verb, options = words[0], dict(zip(words, words[1:], strict=False))
+        verb, options = words[0], dict(pairwise(words))
         for name in ("--init", "--calibration"):
             assert Path(options.get(name, __file__)).exists(), words
         if verb == "train":

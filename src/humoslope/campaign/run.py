@@ -16,7 +16,7 @@ from typing import IO, Literal, Protocol
 from humoslope.campaign import disk
 from humoslope.campaign.plan import TRAIN, Job, Plan
 from humoslope.cpu import SHARE
-from humoslope.interrupts import Terminated, deferred_interrupts
+from humoslope.interrupts import deferred_interrupts
 
 State = Literal["waiting", "running", "done", "failed", "barred"]
 """A job is barred when one that it needs has failed."""
@@ -215,13 +215,3 @@ def _said(path: Path) -> str:
         return ""
     said = [line for line in lines if line.startswith("humoslope: ")]
     return said[-1].removeprefix("humoslope: ") if said else ""
-
-
-def raise_if_stopped(number: int) -> None:
-    """Ends the process as other verbs do if a signal has ended the campaign early.
-
-    Raises:
-        Terminated: If `number` is not 0.
-    """
-    if number:
-        raise Terminated(number)

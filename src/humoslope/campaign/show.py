@@ -12,7 +12,7 @@ from rich.table import Table
 
 from humoslope.campaign.cost import Cost, Estimate
 from humoslope.campaign.plan import CALIBRATE, TRAIN, Job, Plan
-from humoslope.campaign.run import Run
+from humoslope.campaign.run import Run, State
 
 REFRESH_S = 2.0
 """Time between two updates of the table on the screen, s."""
@@ -66,7 +66,13 @@ class Board:
         return ", ".join(counts) + ("" if left is None else f"; about {in_words(left)} left")
 
 
-SAID = {"done": "done", "running": "running", "waiting": "left", "failed": "failed", "barred": "barred by a failure"}
+SAID: dict[State, str] = {
+    "done": "done",
+    "running": "running",
+    "waiting": "left",
+    "failed": "failed",
+    "barred": "barred by a failure",
+}
 """States of jobs in words."""
 
 

@@ -14,15 +14,16 @@ import tyro
 from rich.console import Console
 
 from humoslope.campaign import disk
+from humoslope.campaign import run as queue
 from humoslope.campaign.file import Evaluation, read_campaign
 from humoslope.campaign.plan import Plan, Scale, make_plan
-from humoslope.campaign.run import Run, raise_if_stopped
-from humoslope.campaign.run import run as run_jobs
+from humoslope.campaign.run import Run
 from humoslope.campaign.show import Board, dry_run
 from humoslope.cli.options import parse
 from humoslope.cli.train import TrainArgs
 from humoslope.cpu import usable_cores
 from humoslope.errors import UserError, require_not_negative
+from humoslope.interrupts import Terminated
 from humoslope.ranges import check_config
 from humoslope.registry import build_task, load_content
 
@@ -85,10 +86,11 @@ def _run(plan: Plan, options: Options, console: Console) -> None:
         disk.leave_file(plan, plan.folder)
         state = Run(plan)
         with Board(state, console, options.jobs, options.speed) as board:
-            stopped = run_jobs(state, options.jobs, threads, board.show)
+            stopped = queue.run(state, options.jobs, threads, board.show, queue.launch)
     for name, reason in state.reasons.items():
         console.print(f"{state.states[name]}: {name}: {reason}", soft_wrap=True, highlight=False, markup=False)
-    raise_if_stopped(stopped)
+    if stopped:
+        raise Terminated(stopped)
     if state.reasons:
         failed, barred = state.count("failed"), state.count("barred")
         hindered = f", and {barred} that need them" if barred else ""

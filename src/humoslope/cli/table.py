@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -47,7 +48,7 @@ def run(arguments: list[str]) -> None:
     options = tyro.cli(Options, args=arguments, prog="humoslope table")
     methods = read_methods(options.results)
     sheets = _sheets(options, methods, read_paper())
-    paths = {}
+    paths: dict[Path, Callable[[], str]] = {}
     for end, sheet in sheets.items():
         if options.out is not None:
             writers = {".md": sheet.to_markdown, ".csv": sheet.to_csv, ".json": sheet.to_json}

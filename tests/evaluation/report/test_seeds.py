@@ -88,7 +88,7 @@ def test_shares_that_are_all_or_nothing_are_not_certain():
     assert 0.8 < found.low < 0.999
     # One seed: Jeffreys' interval.
     one = Scores(all_of_them[:1], "a").estimate(0.0, 1.0)
-    assert one.low == pytest.approx(0.9265, abs=0.01)
+    assert one.low == pytest.approx(0.923, abs=0.012)
     alike = Scores(all_of_them, "a").minus(Scores(all_of_them, "b"))
     assert alike.low < 0.0 < alike.high
     none_of_them = Scores([Trials.of(np.zeros(32), shares=True)] * 3, "c")

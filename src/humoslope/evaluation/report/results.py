@@ -329,8 +329,10 @@ def _files(source: str) -> list[tuple[str, Path]]:
 
 
 def _campaign_files(folder: Path) -> list[tuple[str, Path]]:
-    """Results in the run folders of a campaign, FOLDER/ROW/seedN. Rows are called by their tasks if these are different,
-    else by their own names."""
+    """Results in the run folders of a campaign, FOLDER/ROW/seedN.
+
+    Rows are called by their tasks if these are different, else by their own names.
+    """
     found: list[Path] = []
     tasks: dict[str, str] = {}
     for path in folder.glob("*/seed*/*.json"):
