@@ -14,6 +14,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -82,7 +83,16 @@ def progress(job: Job, running: bool) -> Progress:
 def wall_clock_s(job: Job) -> float | None:
     """Time that an evaluation or a calibration took, s; None if it is not known."""
     try:
-        return float(read_json(job.result)["wall_clock_s"])
+        return _wall_clock_s(job.result, job.result.stat().st_mtime_ns)
+    except OSError:
+        return None
+
+
+@lru_cache(maxsize=4096)
+def _wall_clock_s(path: Path, changed: int) -> float | None:
+    """As it says in a file; that is read once unless it was changed."""
+    try:
+        return float(read_json(path)["wall_clock_s"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -143,7 +153,8 @@ def _is_same(origin: Any, parent: Path | None) -> bool:
     """True if a recorded parent is this one, wherever the campaign's folder lay then."""
     if origin is None or parent is None:
         return origin is None and parent is None
-    return Path(origin).parts[-3:] == parent.parts[-3:] or Path(origin).name == parent.name
+    count = 3 if re.fullmatch(r"seed\d+", parent.parent.name) else 1  # ROW/seedN/model_M.pt
+    return Path(origin).parts[-count:] == parent.parts[-count:]
 
 
 def clear_abandoned(folder: Path) -> None:

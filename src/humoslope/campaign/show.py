@@ -14,7 +14,7 @@ from humoslope.campaign.cost import Cost, Estimate
 from humoslope.campaign.plan import CALIBRATE, TRAIN, Job, Plan
 from humoslope.campaign.run import Run, State
 
-REFRESH_S = 2.0
+REFRESH_S = 4.0
 """Time between two updates of the table on the screen, s."""
 
 

@@ -85,6 +85,8 @@ def _run(plan: Plan, options: Options, console: Console) -> None:
     with disk.held(plan.folder):
         disk.leave_file(plan, plan.folder)
         state = Run(plan)
+        each = f"{threads} thread{'s' * (threads > 1)}"
+        console.print(f"{plan.folder}: {options.jobs} at once, {each} each", soft_wrap=True, highlight=False)
         with Board(state, console, options.jobs, options.speed) as board:
             stopped = queue.run(state, options.jobs, threads, board.show, queue.launch)
     for name, reason in state.reasons.items():
