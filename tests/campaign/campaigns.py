@@ -102,19 +102,18 @@ class Humoslope:
         for name in ("--init", "--calibration"):
             assert Path(options.get(name, __file__)).exists(), words
         if verb == "train":
-            self.train(words, Path(options.get("--run-dir") or options["--resume"]), int(words[-1]))
+            self.train(words, Path(options.get("--run-dir") or options["--resume"]), options["--agent.max-iterations"])
         else:
             assert Path(words[1]).is_file(), words
             out = Path(options["--out"])
             self.measure(words, out if verb != "evaluate" else out.with_name(out.name + ".json"))
         return Ended(0)
 
-    def train(self, words: list[str], folder: Path, iterations: int) -> None:
+    def train(self, words: list[str], folder: Path, iterations: str) -> None:
         if "--run-dir" in words:
             assert not list(folder.glob("*")), "a new run into an old folder"
             leave_run(folder, words)
-            iterations = int(words[words.index("--agent.max-iterations") + 1])
-        (folder / f"model_{iterations - 1}.pt").write_bytes(b"x" * 1000)
+        (folder / f"model_{int(iterations) - 1}.pt").write_bytes(b"x" * 1000)
         (folder / "console.log").write_text(
             f"{iterations}/{iterations}  0.00 M steps  2,000/s  reward 0.1  left 0:00:00\n"
         )

@@ -196,8 +196,8 @@ def test_what_is_left_is_estimated_from_what_was_measured(tmp_path: Path, humosl
     assert unknown.seconds is None
     assert unknown.steps == 2 * (640 + 704)
     given = Estimate(state, speed=100.0).of(state.plan.jobs.values())
-    # Six evaluations of 1000 steps at 45 % of a training's speed; calibrations are not known.
-    assert given.seconds == pytest.approx(2 * 1344 / 100.0 + 6 * 1000 / 45.0)
+    # Six evaluations of 1000 steps at 37 % of a training's speed; calibrations are not known.
+    assert given.seconds == pytest.approx(2 * 1344 / 100.0 + 6 * 1000 / 37.0)
     humoslope.fails = {"full/seed2"}
     state = finish(tmp_path, humoslope)
     left = Estimate(state)
