@@ -6,15 +6,14 @@ import io
 from pathlib import Path
 
 import pytest
-from rich.console import Console
-from rich.table import Table
+from rich.console import Console, RenderableType
 
 from humoslope.campaign.run import Run, run
 from humoslope.campaign.show import Board, dry_run, in_words
 from tests.campaign.campaigns import Humoslope, plan
 
 
-def text(table: Table) -> str:
+def text(table: RenderableType) -> str:
     console = Console(width=160, file=io.StringIO())
     with console.capture() as capture:
         console.print(table)
@@ -22,7 +21,7 @@ def text(table: Table) -> str:
 
 
 def cells(said: str, row: str) -> list[str]:
-    return next(line.split() for line in said.splitlines() if line.startswith(row))
+    return next(line.split() for line in said.splitlines() if line.split()[:1] == [row])
 
 
 def test_a_dry_run_counts_what_is_left(tmp_path: Path) -> None:

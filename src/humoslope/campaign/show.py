@@ -6,7 +6,7 @@ import time
 from datetime import timedelta
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
 
@@ -52,12 +52,10 @@ class Board:
             self._shown = now
             self._live.update(self.table(), refresh=True)
 
-    def table(self) -> Table:
+    def table(self) -> Group:
         """The state of every training and evaluation, with what is left in all."""
         estimate = Estimate(self._run, self._speed)
-        table = status(self._run, estimate)
-        table.caption, table.caption_justify = self._total(estimate), "left"
-        return table
+        return Group(status(self._run, estimate), self._total(estimate))  # a caption would be as narrow as the table
 
     def _total(self, estimate: Estimate) -> str:
         run = self._run
@@ -102,7 +100,7 @@ def status(run: Run, estimate: Estimate) -> Table:
     return table
 
 
-def dry_run(run: Run, speed: float, at_once: int) -> Table:
+def dry_run(run: Run, speed: float, at_once: int) -> Group:
     """What is left of a campaign: iterations, steps, hours and disk of every row, and of every evaluation."""
     estimate, plan = Estimate(run, speed), run.plan
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
@@ -130,8 +128,7 @@ def dry_run(run: Run, speed: float, at_once: int) -> Table:
         notes[0] = f"At {estimate.speed:,.0f} steps/s of a training. {notes[0]}"
     if any(column == CALIBRATE for column in _columns(plan)):
         notes.append("Calibrations are counted once one is done.")
-    table.caption, table.caption_justify = "\n".join(notes), "left"
-    return table
+    return Group(table, *notes)
 
 
 def in_words(seconds: float) -> str:

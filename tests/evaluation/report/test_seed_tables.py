@@ -10,6 +10,7 @@ import pytest
 
 from humoslope.cli import main
 from humoslope.errors import UserError
+from humoslope.evaluation.report import seeds
 from humoslope.evaluation.report.paper import read_paper
 from humoslope.evaluation.report.results import Method, read_methods, read_results
 from humoslope.evaluation.report.seed_tables import ONE_SEED_NOTE, ablation_over_seeds, differences, main_over_seeds
@@ -19,6 +20,13 @@ from humoslope.statistics import Proportion
 from tests.evaluation.made_up import GRADES, SEGMENTS, TIERS, outcomes, report, sweep, write
 
 FULL, BARE = "HumoSlope-Stage2-Unitree-G1", "HumoSlope-Stage2-NoBSGA-Unitree-G1"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_draws():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(seeds, "DRAWS", 300)
+        yield
 
 
 def checkpoint(task: str, seed: int) -> dict[str, object]:
