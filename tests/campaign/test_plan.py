@@ -58,6 +58,11 @@ def test_a_calibration_that_nobody_needs_is_not_made(tmp_path: Path) -> None:
     assert jobs["full/seed1 training"].needs == ("stage1/seed1 training",)
 
 
+def test_a_calibration_is_made_for_the_seeds_of_the_next_stage_alone(tmp_path: Path) -> None:
+    jobs = plan(tmp_path, SMALL.replace("steps = 700", "steps = 700\nseeds = [2]")).jobs
+    assert [name for name in jobs if "calibration" in name] == ["stage1/seed2 calibration"]
+
+
 def test_an_earlier_checkpoint_of_a_parent_can_be_the_start(tmp_path: Path) -> None:
     text = SMALL.replace("steps = 700", f'steps = 700\nparent-iteration = 5\ncalibration = "{Path(__file__)}"')
     words = plan(tmp_path, text).jobs["full/seed1 training"].words

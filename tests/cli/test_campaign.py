@@ -107,7 +107,7 @@ def plan_of(file: Path, out: Path) -> Plan:
 
 def test_every_job_of_it_leaves_what_its_verb_leaves(folder: Path) -> None:
     plan = plan_of(folder / "tiny.toml", folder / "logs" / "tiny")
-    assert len(plan.jobs) == 9
+    assert len(plan.jobs) == 8
     assert set(Run(plan).states.values()) == {"done"}
     disk.check_begun(plan)
     stage2 = read_provenance(folder / "logs/tiny/full/seed1/model_1.pt")
@@ -123,11 +123,11 @@ def test_a_second_start_has_nothing_to_do_and_a_dry_run_says_so(
 ) -> None:
     assert main(["campaign", "tiny.toml"]) == 0
     said = capsys.readouterr().out
-    assert "9 done" in said
+    assert "8 done" in said
     assert "begins" not in said
     assert main(["campaign", "tiny.toml", "--dry-run"]) == 0
     said = capsys.readouterr().out
-    assert re.search(r"all +9 +9 +0\.00 +0\.00 +0\.00", said)
+    assert re.search(r"all +8 +8 +0\.00 +0\.00 +0\.00", said)
     assert re.search(r"At [\d,]+ steps/s of a training", said)
 
 
@@ -210,7 +210,7 @@ def test_a_job_that_fails_is_named_and_ends_with_exit_code_2(
     told = capsys.readouterr()
     assert "failed: stage1/seed1 calibration: exit code 2: it cannot walk." in told.out
     assert "barred: full/seed1 training: stage1/seed1 calibration failed" in told.out
-    assert told.err == ("humoslope: 2 of 9 jobs failed, and 3 that need them; the same command tries them again.\n")
+    assert told.err == ("humoslope: 1 of 8 jobs failed, and 3 need their results; the same command tries them again.\n")
 
 
 # The campaigns of experiments/

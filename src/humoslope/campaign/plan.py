@@ -139,12 +139,12 @@ class _Planner:
     def jobs(self) -> dict[str, Job]:
         jobs: dict[str, Job] = {}
         rows = self._campaign.trainings
-        calibrated = {rows[row.parent].name for row in rows.values() if row.parent and self._calibrates(row)}
+        calibrated = {(row.parent, seed) for row in rows.values() if self._calibrates(row) for seed in row.seeds}
         for row in rows.values():
             for seed in row.seeds:
                 training = self._training(row, seed)
                 wanted = [training]
-                if row.name in calibrated:
+                if (row.name, seed) in calibrated:
                     wanted.append(self._calibration(training))
                 wanted += [
                     self._evaluation(training, evaluation)

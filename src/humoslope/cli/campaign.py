@@ -95,7 +95,7 @@ def _run(plan: Plan, options: Options, console: Console) -> None:
         raise Terminated(stopped)
     if state.reasons:
         failed, barred = state.count("failed"), state.count("barred")
-        hindered = f", and {barred} that need them" if barred else ""
+        hindered = f", and {barred} need their results" if barred else ""
         raise UserError(f"{failed} of {len(plan.jobs)} jobs failed{hindered}; the same command tries them again.")
 
 
