@@ -302,6 +302,13 @@ def test_a_job_is_stopped_when_the_campaign_is_killed(tmp_path: Path) -> None:
     raise AssertionError("the child was not stopped")
 
 
+def test_a_job_is_a_process_of_its_own_with_its_share_of_threads(tmp_path: Path) -> None:
+    with (tmp_path / "log").open("wb") as log:
+        process = queue.launch(["nonsense"], {"HUMOSLOPE_THREADS": "1"}, log)
+        assert process.wait() == 2
+    assert queue._said(tmp_path / "log").startswith("verb 'nonsense' does not exist")
+
+
 def test_the_words_of_a_failure_are_the_last_that_were_said(tmp_path: Path) -> None:
     (tmp_path / "log").write_text("humoslope: first.\nmore\nhumoslope: second.\n")
     assert queue._said(tmp_path / "log") == "second."

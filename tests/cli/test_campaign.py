@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
@@ -18,10 +21,12 @@ from humoslope.campaign.plan import Plan, make_plan
 from humoslope.campaign.run import Run
 from humoslope.cli import main
 from humoslope.cli.campaign import scale_of, walk_of
+from humoslope.cli.options import parse
+from humoslope.cli.train import TrainArgs
 from humoslope.learning import checkpoint
 from humoslope.learning.policy import read_provenance
 from humoslope.registry import build_task
-from tests import processes
+from tests.campaign.campaigns import Ended, Humoslope
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENTS = ROOT / "experiments"
@@ -62,31 +67,13 @@ options = "--seconds 1"
 """
 
 
-class Child:
-    """A process of the tests' own kind, which has the libraries loaded already."""
-
-    def __init__(self, running: processes.Running, log: IO[bytes]) -> None:
-        self._running, self._log = running, log
-
-    def poll(self) -> int | None:
-        return self._running.poll()
-
-    def wait(self) -> int:
-        ended = self._running.wait()
-        self._log.write(f"{ended.stdout}{ended.stderr}".encode())
-        self._log.flush()
-        return ended.returncode
-
-    def send_signal(self, sig: int) -> None:
-        raise AssertionError("nobody stops this campaign")
-
-    def kill(self) -> None:
-        self._running.wait(0.0)
-
-
-def launch(words: list[str], env: Mapping[str, str], log: IO[bytes]) -> Child:
-    handle = open(log.name, "ab")  # noqa: SIM115, the campaign closes its own before the end is known
-    return Child(processes.start(*words, env=env), handle)
+def launch(words: list[str], env: Mapping[str, str], log: IO[bytes]) -> Ended:
+    """Runs a verb in this process, which has all libraries loaded already."""
+    out = io.TextIOWrapper(log, encoding="utf-8", write_through=True)
+    with redirect_stdout(out), redirect_stderr(out):
+        code = main(words)
+    out.detach()
+    return Ended(code)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +84,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(queue, "launch", launch)
-        assert main(["campaign", "tiny.toml", "--jobs", "2"]) == 0
+        assert main(["campaign", "tiny.toml"]) == 0
         yield folder
 
 
@@ -200,8 +187,6 @@ def test_mistakes_are_said_in_one_sentence(folder: Path, mistake: Callable[..., 
 def test_a_job_that_fails_is_named_and_ends_with_exit_code_2(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from tests.campaign.campaigns import Humoslope
-
     humoslope = Humoslope()
     humoslope.fails = {"calibrate"}
     monkeypatch.setattr(queue, "launch", humoslope)
@@ -259,11 +244,6 @@ def test_the_recipe_halves_every_reward_of_today_and_changes_one_thing_a_row(pla
 
 
 def test_the_baseline_learns_as_stage_1_does_from_its_first_walk(plans: dict[str, Plan]) -> None:
-    from dataclasses import replace
-
-    from humoslope.cli.options import parse
-    from humoslope.cli.train import TrainArgs
-
     agents = {}
     for row in ("stage1", "url"):
         job = plans["reproduce.toml"].jobs[f"{row}/seed1 training"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import re
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -150,8 +149,8 @@ def _quietly(read: Callable[[], R]) -> R:
         with redirect_stdout(said), redirect_stderr(said):
             return read()
     except SystemExit:
-        lines = [line.strip("│╭╮╰╯─| ").strip() for line in said.getvalue().splitlines()]
-        # Below the title, and up to the first rule.
-        body = re.match(r"\n*[^\n]*\n(.*?)(\n\n|$)", "\n".join(lines).strip("\n"), re.DOTALL)
-        text = " ".join(body[1].split()) if body else "its options cannot be read"
-        raise UserError(f"{text.rstrip('.')}.") from None
+        lines = [line.strip() for line in said.getvalue().splitlines()]
+        # Its frame is of "│" and "─", or of "|" and "-" where only ASCII can be said; a rule ends the sentence.
+        inside = ["" if line[:1] in ("╭", "╰", "+") else line.strip("│|").strip() for line in lines]
+        text = "\n".join("" if set(line) <= set("─-") else line for line in inside).strip().partition("\n\n")[0]
+        raise UserError(f"{' '.join(text.split()).rstrip('.')}.") from None
