@@ -18,7 +18,7 @@ from humoslope.campaign import run as queue
 from humoslope.campaign.cost import Estimate
 from humoslope.campaign.run import Run, run
 from humoslope.errors import UserError
-from tests.campaign.campaigns import SECOND, SMALL, Ended, Humoslope, leave_run, plan
+from tests.campaign.campaigns import SMALL, Ended, Humoslope, leave_run, plan, read
 
 
 @pytest.fixture
@@ -178,6 +178,14 @@ def test_what_a_calibration_has_set_is_no_change(tmp_path: Path, humoslope: Humo
     options.write_text(options.read_text().replace("--preset cpu", ""))
     with pytest.raises(UserError, match=r"begun with --preset gpu"):
         disk.check_begun(made)
+
+
+def test_the_scale_of_what_has_begun_is_kept_on_any_machine(tmp_path: Path, humoslope: Humoslope) -> None:
+    auto = SMALL.replace('preset = "cpu"', 'preset = "auto"')
+    assert disk.settled(read(tmp_path, auto), tmp_path / "out").preset == "auto"
+    finish(tmp_path, humoslope, SMALL.replace('preset = "cpu"', 'preset = "gpu"'))
+    assert disk.settled(read(tmp_path, auto), tmp_path / "out").preset == "gpu"
+    assert disk.settled(read(tmp_path), tmp_path / "out").preset == "cpu"
 
 
 def test_one_campaign_at_a_time_has_a_folder(tmp_path: Path) -> None:

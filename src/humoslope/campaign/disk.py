@@ -13,13 +13,13 @@ import shlex
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from humoslope.campaign.file import OWN_OF_TRAINING
+from humoslope.campaign.file import OWN_OF_TRAINING, Campaign
 from humoslope.campaign.plan import CALIBRATE, TRAIN, Job, Plan
 from humoslope.errors import UserError
 from humoslope.evaluation.report.results import CAMPAIGN
@@ -105,6 +105,15 @@ def command(job: Job) -> list[str]:
     return [job.verb, *job.words]
 
 
+def settled(campaign: Campaign, folder: Path) -> Campaign:
+    """The campaign with the scale of what has begun in its folder, if its file leaves that to the machine."""
+    for run_dir in sorted(folder.glob("*/seed*")) if campaign.preset == "auto" else ():
+        preset = option_groups(saved_options(run_dir)).get("--preset", [])[-1:]
+        if newest(run_dir) and preset in (["cpu"], ["gpu"]):
+            return replace(campaign, preset=preset[0])
+    return campaign
+
+
 def check_begun(plan: Plan) -> None:
     """Compares the trainings that have begun with the file.
 
@@ -135,8 +144,7 @@ def _change(job: Job) -> str:
     if not _is_same(origin, job.parent):
         return f"was begun with parent {origin or 'none'}"
     then, now = option_groups(saved_options(job.folder)), option_groups(options)
-    preset = now.get("--preset", ["--preset", "auto"])[1]
-    if then.get("--preset", ["--preset", preset])[1] != (job.scale.preset if preset == "auto" else preset):
+    if then.get("--preset", ["--preset", job.scale.preset])[1] != job.scale.preset:
         return f"was begun with {' '.join(then['--preset'])}"
     theirs = f"--env.rewards.{job.scale.calibrated.replace('_', '-')}.params."
     for name in {**then, **now}:

@@ -65,7 +65,8 @@ def run(arguments: list[str]) -> None:
     require_not_negative("campaign", speed=options.speed)
     campaign = read_campaign(options.file)
     load_content()
-    plan = make_plan(campaign, options.out or Path("logs") / options.file.stem, scale_of, walk_of)
+    folder = options.out or Path("logs") / options.file.stem
+    plan = make_plan(disk.settled(campaign, folder), folder, scale_of, walk_of)
     disk.check_begun(plan)
     console = Console()
     if options.pack is not None:
