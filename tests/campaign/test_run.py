@@ -321,4 +321,3 @@ def test_the_words_of_a_failure_are_the_last_that_were_said(tmp_path: Path) -> N
     (tmp_path / "log").write_text("humoslope: first.\nmore\nhumoslope: second.\n")
     assert queue._said(tmp_path / "log") == "second."
     assert queue._said(tmp_path / "nothing") == ""
-    assert SECOND in plan(tmp_path).jobs["full/seed1 training"].words

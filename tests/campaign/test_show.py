@@ -28,7 +28,7 @@ def test_a_dry_run_counts_what_is_left(tmp_path: Path) -> None:
     state = Run(plan(tmp_path))
     said = text(dry_run(state, 0.0, 1))
     assert "No speed is known yet: name one with --speed" in said
-    assert cells(said, "stage1") == ["stage1", "2", "0", "10", "0.00", "-", "0.00"]
+    assert cells(said, "stage1") == ["stage1", "2", "0", "10", "0.00", "-", "0.02"]
     said = text(dry_run(state, 0.01, 2))
     assert cells(said, "full")[5] == f"{2 * 704 / 0.01 / 3600:.2f}"
     assert cells(said, "track")[1:3] == ["4", "0"]

@@ -9,10 +9,12 @@ import numpy as np
 
 from humoslope.errors import UserError
 from humoslope.evaluation.report.compare import Curves, TrainingRun, grouped, read_all
-from humoslope.evaluation.report.curve import PANELS, STEPS, smooth
+from humoslope.evaluation.report.curve import PANELS, STEPS, Panel, smooth
 from humoslope.evaluation.report.figures import COLOURS
 from humoslope.plotting import INK, dress, new_figure, save_figure
 from humoslope.statistics import Array
+
+SHOWN = (*PANELS, Panel("Train/speed", "speed, m/s"))
 
 
 def draw_bands(runs: Sequence[TrainingRun], out: Path, at: float = 0.0) -> None:
@@ -23,9 +25,9 @@ def draw_bands(runs: Sequence[TrainingRun], out: Path, at: float = 0.0) -> None:
         UserError: If a run has no curves, or the figure cannot be written.
     """
     curves, _ = read_all(runs, at)
-    panels = [panel for panel in PANELS if all(panel.tag in of_run for of_run in curves)]
+    panels = [panel for panel in SHOWN if all(panel.tag in of_run for of_run in curves)]
     if not panels:
-        raise UserError(f"the curves of these runs have none of {', '.join(p.tag for p in PANELS)} in common.")
+        raise UserError(f"the curves of these runs have none of {', '.join(p.tag for p in SHOWN)} in common.")
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
     figure = new_figure(5.5 * columns, 1.1 + 2.5 * rows, "Mean over seeds, from the lowest to the highest one")
