@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import IO
@@ -40,7 +40,7 @@ trials = 8
 """
 
 
-def scale(task: str, options: list[str]) -> Scale:
+def scale(task: str, preset: str, options: Sequence[str]) -> Scale:
     """16 envs and 4 steps of each in an iteration; Stage II starts from Stage I and its calibration."""
     if task not in (FIRST, SECOND):
         raise UserError(f"task '{task}' does not exist.")

@@ -7,7 +7,7 @@ at one seed lies in its run folder, FOLDER/ROW/seedN.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -81,6 +81,10 @@ class Job:
         return self.iterations * self.scale.samples
 
 
+Resolve = Callable[[str, Literal["auto", "cpu", "gpu"], Sequence[str]], Scale]
+"""Gives the scale of a task with a preset and options."""
+
+
 def job_name(row: str, seed: int, column: str) -> str:
     """Name of a job."""
     return f"{row}/seed{seed} {column}"
@@ -106,14 +110,14 @@ class Plan:
 def make_plan(
     campaign: Campaign,
     folder: Path,
-    resolve: Callable[[str, list[str]], Scale],
+    resolve: Resolve,
     check: Callable[[Evaluation], int] = lambda evaluation: 0,
 ) -> Plan:
     """The jobs of a campaign.
 
     Args:
         folder: Folder of everything that it makes.
-        resolve: Gives the scale of a task with options; raises UserError if it does not accept them.
+        resolve: Gives the scale of a task; raises UserError if it does not accept an option.
         check: Gives the environment steps of an evaluation; raises UserError if its options are impossible.
 
     Raises:
@@ -127,12 +131,12 @@ def make_plan(
 
 
 class _Planner:
-    def __init__(self, campaign: Campaign, folder: Path, resolve: Callable[[str, list[str]], Scale]) -> None:
+    def __init__(self, campaign: Campaign, folder: Path, resolve: Resolve) -> None:
         self._campaign, self._folder = campaign, folder
         self._scales: dict[str, Scale] = {}
         for row in campaign.trainings.values():
             with _naming(campaign, f"train.{row.name}"):
-                self._scales[row.name] = resolve(row.task, ["--preset", campaign.preset, *row.options])
+                self._scales[row.name] = resolve(row.task, campaign.preset, row.options)
         for row in campaign.trainings.values():
             self._check_parent(row)
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,6 +24,7 @@ from humoslope.cli.train import TrainArgs
 from humoslope.cpu import usable_cores
 from humoslope.errors import UserError, require_not_negative
 from humoslope.interrupts import Terminated
+from humoslope.presets import Preset, apply_preset, resolve_preset
 from humoslope.ranges import check_config
 from humoslope.registry import build_task, load_content
 
@@ -99,23 +101,26 @@ def _run(plan: Plan, options: Options, console: Console) -> None:
         raise UserError(f"{failed} of {len(plan.jobs)} jobs failed{hindered}; the same command tries them again.")
 
 
-def scale_of(task: str, options: list[str]) -> Scale:
+def scale_of(task: str, preset: Preset, options: Sequence[str]) -> Scale:
     """Scale of a task with options.
 
     Raises:
         UserError: If the task or an option does not exist, or a value is impossible.
     """
-    start = build_task(task).start
-    cfg, args = _quietly(lambda: parse(TrainArgs(), task, options))
+    cfg, chosen = build_task(task), resolve_preset(preset)
+    if options:
+        cfg, _ = _quietly(lambda: parse(TrainArgs(), task, ["--preset", preset, *options]))
+    else:
+        apply_preset(cfg, chosen)  # as `parse` does, in a fraction of its time
     cfg.agent.check()
     check_config("env", cfg.env)
     return Scale(
         num_envs=cfg.env.num_envs,
         samples=cfg.env.num_envs * cfg.agent.num_steps_per_env,
         save_interval=cfg.agent.save_interval,
-        preset=args.preset,
-        start=start.task if start else "",
-        calibrated=start.calibrated if start else "",
+        preset=chosen,
+        start=cfg.start.task if cfg.start else "",
+        calibrated=cfg.start.calibrated if cfg.start else "",
     )
 
 
@@ -145,13 +150,12 @@ CONTROL_S = 0.02
 
 def _quietly(read: Callable[[], R]) -> R:
     """What `read` returns; the box in which tyro tells of a mistake becomes one sentence."""
-    said = io.StringIO()
+    said = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # of which it knows that a frame can be drawn in it
     try:
         with redirect_stdout(said), redirect_stderr(said):
             return read()
     except SystemExit:
-        lines = [line.strip() for line in said.getvalue().splitlines()]
-        # Its frame is of "│" and "─", or of "|" and "-" where only ASCII can be said; a rule ends the sentence.
-        inside = ["" if line[:1] in ("╭", "╰", "+") else line.strip("│|").strip() for line in lines]
-        text = "\n".join("" if set(line) <= set("─-") else line for line in inside).strip().partition("\n\n")[0]
-        raise UserError(f"{' '.join(text.split()).rstrip('.')}.") from None
+        said.seek(0)
+        lines = [line.strip().strip("│").strip() for line in said if line[:1] not in ("╭", "╰")]
+        sentence = takewhile(lambda line: set(line) != {"─"}, lines)  # up to the first rule
+        raise UserError(f"{' '.join(' '.join(sentence).split()).rstrip('.')}.") from None
