@@ -110,7 +110,7 @@ def settled(campaign: Campaign, folder: Path) -> Campaign:
     for run_dir in sorted(folder.glob("*/seed*")) if campaign.preset == "auto" else ():
         preset = option_groups(saved_options(run_dir)).get("--preset", [])[-1:]
         if newest(run_dir) and preset in (["cpu"], ["gpu"]):
-            return replace(campaign, preset=preset[0])
+            return replace(campaign, preset="cpu" if preset == ["cpu"] else "gpu")
     return campaign
 
 
