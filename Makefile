@@ -9,7 +9,7 @@ need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  export play terrain bench check-device reproduce recipe drills test lint types check format clean
+  export play terrain bench check-device campaign reproduce recipe drills test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -82,11 +82,22 @@ check-device: $(STAMP) ## Check that this installation is right and fast, within
 	$(BIN)/humoslope check HumoSlope-Stage1-Unitree-G1 --checkpoint experiments/checkpoints/stage1.pt \
 	  --curve experiments/results/stage1_curve.csv $(ARGS)
 
-reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two cores; experiments/reproduce.mk states it
-	@$(MAKE) -f experiments/reproduce.mk BIN=$(BIN) $(ARGS)
+campaign: $(STAMP) ## Run the trainings and evaluations of FILE, go on with them; ARGS=--dry-run says what is left
+	$(BIN)/humoslope campaign $(call need,FILE,experiments/table2.toml) $(ARGS)
+
+reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two cores; experiments/reproduce.toml states it
+	$(BIN)/humoslope campaign experiments/reproduce.toml $(ARGS)
+ifeq ($(filter --%,$(ARGS)),)
+	$(BIN)/humoslope table 1 logs/reproduce --out logs/reproduce/tables/table1
+	$(BIN)/humoslope table 2 logs/reproduce --out logs/reproduce/tables/table2
+	$(BIN)/humoslope figures logs/reproduce --out logs/reproduce/figures
+endif
 
 recipe: $(STAMP) ## Compare changes to the CPU recipe in short trainings, some ninety minutes on one core
-	@$(MAKE) -f experiments/recipe.mk BIN=$(BIN) $(ARGS)
+	$(BIN)/humoslope campaign experiments/recipe.toml $(ARGS)
+ifeq ($(filter --%,$(ARGS)),)
+	$(BIN)/humoslope compare logs/recipe --out experiments/results/recipe.md
+endif
 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
 	$(BIN)/python -m pytest $(or $(ARGS),-n auto --dist worksteal --cov --cov-report=term:skip-covered --cov-fail-under=85)

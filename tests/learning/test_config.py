@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from humoslope.cli.options import parse
-from humoslope.cli.overrides import merge_options
 from humoslope.cli.train import TrainArgs
 from humoslope.errors import UserError
 from humoslope.learning.config import AgentCfg, PpoCfg
@@ -21,6 +20,7 @@ from humoslope.managers import RewardTermCfg
 from humoslope.presets import apply_preset
 from humoslope.provenance import plain
 from humoslope.registry import all_tasks, build_task
+from humoslope.words import merge_options
 
 SCALE = {
     "env.num_envs",

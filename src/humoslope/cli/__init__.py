@@ -13,6 +13,7 @@ from humoslope.interrupts import Terminated, handled
 
 VERBS = {
     "train": "Train a task.",
+    "campaign": "Run a table of trainings and evaluations.",
     "list": "List the registered tasks and terrains.",
     "terrain": "Draw a terrain to a PNG.",
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",

@@ -10,7 +10,6 @@ import torch
 from rich.console import Console
 
 from humoslope.cli.options import configuration_of, early, parse
-from humoslope.cli.overrides import merge_options, option_groups
 from humoslope.cli.warm_start import Origin, find_origin
 from humoslope.cpu import thread_advice, usable_cores
 from humoslope.env import ManagerBasedRlEnv
@@ -25,6 +24,7 @@ from humoslope.learning.run_folder import claimed, find_run, record_start, tee
 from humoslope.learning.trainer import Trainer
 from humoslope.presets import Preset
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
+from humoslope.words import merge_options, option_groups
 
 ONCE = ("--resume", "--run-dir", "--init", "--calibration")
 """Options of a single start, which are not recorded as options of the run."""

@@ -205,6 +205,10 @@ class Trainer:
             UserError: If it cannot be used here.
         """
         state = checkpoint.load(path, self.task, self.env.device)
+        if not state["learner"]:
+            raise UserError(
+                f"checkpoint '{path}' holds the actor alone: a run can start from it with --init, not resume."
+            )
         self._load_policy(path, state)
         try:
             self.learner.load_state_dict(state["learner"])
