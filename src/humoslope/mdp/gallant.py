@@ -146,10 +146,10 @@ def head_height(
     return torch.exp(-4.0 * error.square()) - 5.0 * off * error.abs()
 
 
-def _lean(up_b: Tensor, backward: float, aside: float) -> Tensor:
-    """Squared lean of a body whose frame sees the direction of gravity `up_b` [N, 3]."""
-    forward = torch.where(up_b[:, 0] < 0.0, backward * up_b[:, 0], up_b[:, 0])
-    return forward.square() + (aside * up_b[:, 1]).square()
+def _lean(gravity_b: Tensor, backward: float, aside: float) -> Tensor:
+    """Squared lean of a body in whose frame gravity has the direction `gravity_b` [N, 3]."""
+    forward = torch.where(gravity_b[:, 0] < 0.0, backward * gravity_b[:, 0], gravity_b[:, 0])
+    return forward.square() + (aside * gravity_b[:, 1]).square()
 
 
 def pelvis_lean(env: Env, backward: Positive = 10.0, aside: Positive = 5.0) -> Tensor:
@@ -360,8 +360,8 @@ def body_force(env: Env) -> Tensor:
 
 
 def power_l2(env: Env) -> Tensor:
-    """Squared mechanical power of the joints, summed, W^2."""
-    return (env.signals.joint_vel * env.signals.joint_torque).square().sum(dim=1)
+    """Squared mechanical power of the joints, summed, kW^2."""
+    return (1e-3 * env.signals.joint_vel * env.signals.joint_torque).square().sum(dim=1)
 
 
 def torque_over_stiffness_l2(env: Env) -> Tensor:

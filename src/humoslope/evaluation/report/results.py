@@ -118,6 +118,8 @@ class Result:
         limit: Steepest grade of the slope-limit sweep, degrees; None if there was no sweep, or no grade was mastered.
         swept: True if there was a sweep.
         beyond: True if the limit may lie above the steepest grade of the sweep.
+        variant: What sets the trained network apart from others of its task, such as a reduced voxel grid; the name ends
+            with it.
     """
 
     name: str
@@ -131,6 +133,12 @@ class Result:
     limit: float | None = None
     swept: bool = False
     beyond: bool = False
+    variant: str = ""
+
+    @property
+    def given_name(self) -> str:
+        """The name without the variant."""
+        return self.name.removesuffix(f", {self.variant}")
 
     @property
     def goal(self) -> float:
@@ -263,16 +271,18 @@ def from_report(report: Mapping[str, Any], name: str = "") -> Result:
     """The result in a report of `humoslope evaluate`.
 
     Args:
-        name: Name of the method; by default its task.
+        name: Name of the method; by default its task. A variant is named in any case.
 
     Raises:
         KeyError, TypeError, IndexError: If it is something else.
     """
     checkpoints = report["checkpoints"]
-    task = checkpoints[0]["task"]
+    task, variant = checkpoints[0]["task"], checkpoints[0].get("variant", "")
+    called = name or task
     result = Result(
-        name=name or task,
+        name=f"{called}, {variant}" if variant else called,
         task=task,
+        variant=variant,
         training=tuple(_training(c) for c in checkpoints),
         finished=report["finished"],
         trials=report["trials"],
