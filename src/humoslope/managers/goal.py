@@ -24,9 +24,9 @@ PASSED = 0.5
 class GoalCommandCfg(VelocityCommandCfg):
     """A goal to be reached within a time, after which there is another one.
 
-    A goal lies as far away as `speed` goes in the time up to the last `stay_s`: 4 m at 0.5 m/s. On a tile that is walked
-    along x it is ahead on the centre line (beside it, with `lateral_gain` 0); on a tile that is walked in any direction
-    it is in a random direction. It is never closer than `edge` to the edges of the tile.
+    A goal lies as far away as `speed` goes in the time before the last `stay_s`: 4 m at 0.5 m/s. On a tile that is
+    walked along x it is ahead on the centre line (beside it, with `lateral_gain` 0); on a tile that is walked in any
+    direction it is in a random direction. It is never closer than `edge` to the edges of the tile.
 
     What counts commands and what was walked of them reads a velocity: `speed` in the direction of the goal, and the yaw
     rate that steers there; zero at the goal. The policy does not see it. On a tile that is walked along x it is the one
@@ -93,7 +93,8 @@ class GoalCommand(CommandManager):
         tiles = env.tiles
         if 2.0 * cfg.edge >= min(tiles.length, tiles.width):
             raise UserError(
-                f"command: edge {cfg.edge:g} leaves no room for goals on a tile of {tiles.length:g} x {tiles.width:g} m."
+                f"command: edge {cfg.edge:g} leaves no room for goals on a tile of {tiles.length:g} x "
+                f"{tiles.width:g} m."
             )
         self._steps = control_steps("command: time_s", cfg.time_s, env.step_dt)
         corners = [[cfg.edge, cfg.edge - 0.5 * tiles.width], [tiles.length - cfg.edge, 0.5 * tiles.width - cfg.edge]]

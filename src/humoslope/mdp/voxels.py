@@ -36,6 +36,8 @@ control steps and rounds up to whole frames: 2 frames in 5 episodes of 9, else 3
 USUAL_SHARE = 5.0 / 9.0
 HOLES = 0.02
 """Share of the columns that are empty in a frame."""
+ANGLE_ERROR = math.radians(1.0)
+"""Standard deviation of the torso's rotation about each axis, as it is known, rad."""
 LARGEST_DEVIATION = 5.0
 """Bound on normally distributed numbers, in deviations: a uniform number of 24 bits may be exactly 0."""
 
@@ -78,7 +80,7 @@ class VoxelColumns(FaultyTerm):
         noise: NotNegative = 0.01,
         holes: Share = HOLES,
         position_error: NotNegative = 0.005,
-        angle_error: NotNegative = math.radians(1.0),
+        angle_error: NotNegative = ANGLE_ERROR,
     ) -> None:
         self.grid = ColumnGrid(**BOX, cell=cell)
         self._noise, self._holes = noise, holes

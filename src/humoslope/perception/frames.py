@@ -20,8 +20,8 @@ class LateFrames:
 
     def __init__(self, env: Env, size: int, most: int) -> None:
         """Args:
-            size: Numbers in a frame.
-            most: Largest lag.
+        size: Numbers in a frame.
+        most: Largest lag.
         """
         self._frames = env.zeros(most + 1, size)  # [N, F, size], the newest first
         self.lag = env.zeros(dtype=torch.int64)

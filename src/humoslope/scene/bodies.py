@@ -22,7 +22,7 @@ class Bodies:
 
     def __init__(self, sim: Simulation, funcs: Iterable[Any]) -> None:
         """Args:
-            funcs: Functions and classes of the environment's terms.
+        funcs: Functions and classes of the environment's terms.
         """
         self._model = sim.model
         self._read = any(getattr(func, "reads_bodies", False) for func in funcs)
@@ -36,7 +36,8 @@ class Bodies:
         Raises:
             UserError: If there is no such body, or no term has asked for bodies.
         """
-        return self._position[:, self._id(name)]
+        body = self._id(name)
+        return self._position[:, body]
 
     def rotation(self, name: str) -> Tensor:
         """Rotation of a body, body frame to world frame, [N, 3, 3].
@@ -44,7 +45,8 @@ class Bodies:
         Raises:
             UserError: As `position`.
         """
-        return quaternion.matrix(self._quat[:, self._id(name)])
+        body = self._id(name)
+        return quaternion.matrix(self._quat[:, body])
 
     def _id(self, name: str) -> int:
         if not self._read:

@@ -118,8 +118,8 @@ class Result:
         limit: Steepest grade of the slope-limit sweep, degrees; None if there was no sweep, or no grade was mastered.
         swept: True if there was a sweep.
         beyond: True if the limit may lie above the steepest grade of the sweep.
-        variant: What sets the trained network apart from others of its task, such as a reduced voxel grid; the name ends
-            with it.
+        variant: What sets the trained network apart from others of its task, such as a reduced voxel grid; the name
+            ends with it.
     """
 
     name: str

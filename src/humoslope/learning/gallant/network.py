@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -73,7 +74,7 @@ class GallantNetwork(Network):
         self.proprioception = _encoder(self.obs_dim, proprioception_dim)
         channels = (columns.levels, *(voxel_channels,) * 3)
         convolutions: list[nn.Module] = [Voxels(columns)]
-        for before, after in zip(channels[:-1], channels[1:], strict=True):
+        for before, after in pairwise(channels):
             convolutions += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.Mish()]
         self.voxels = nn.Sequential(*convolutions, nn.Flatten()).to(memory_format=torch.channels_last)
         features = self.voxels(torch.zeros(1, columns.side**2)).shape[1]
