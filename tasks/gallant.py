@@ -57,7 +57,7 @@ def observation_groups() -> Terms[ObservationGroupCfg]:
     return Terms(
         command=ObservationGroupCfg(terms=Terms(goal=ObservationTermCfg(gallant.goal_command))),
         proprioception=ObservationGroupCfg(terms=sensed, history=6, enable_corruption=True),
-        actions=ObservationGroupCfg(terms=Terms(last_action=known.last_action), history=4),
+        last_actions=ObservationGroupCfg(terms=Terms(last_action=known.last_action), history=4),
         voxels=ObservationGroupCfg(
             terms=Terms(columns=ObservationTermCfg(voxels.VoxelColumns, {"cell": voxels.FULL})), enable_corruption=True
         ),

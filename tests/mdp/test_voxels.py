@@ -80,11 +80,11 @@ def test_an_episode_begins_with_its_first_frame_and_leaves_the_other_envs_alone(
 
 
 def test_the_lag_is_two_frames_in_five_episodes_of_nine_and_else_three(make_term):
-    term, env = make_term(20_000, noisy=True, scan=0.0)
+    term, env = make_term(4000, noisy=True, scan=0.0)
     term(env)
     lag = term._frames.lag
     assert set(lag.tolist()) == {2, 3}
-    assert (lag == 2).float().mean().item() == pytest.approx(5 / 9, abs=0.014)  # four deviations
+    assert (lag == 2).float().mean().item() == pytest.approx(5 / 9, abs=0.032)  # four deviations
     before = lag.clone()
     env.steps_since_reset = env.steps_since_reset + 5
     term(env)

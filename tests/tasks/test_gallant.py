@@ -98,7 +98,7 @@ def test_the_full_grid_is_that_of_gpus_and_a_reduced_one_that_of_cpus() -> None:
 
 def test_rsl_rl_is_told_the_published_ppo() -> None:
     told = build_task(GALLANT).agent.to_rsl_rl()
-    groups = ["command", "proprioception", "actions", "voxels"]
+    groups = ["command", "proprioception", "last_actions", "voxels"]
     assert told["obs_groups"] == {"actor": groups, "critic": groups}
     expected = {
         **{"num_learning_epochs": 4, "num_mini_batches": 4, "learning_rate": 5e-4, "desired_kl": 0.02, "gamma": 0.99},
@@ -111,7 +111,7 @@ def test_rsl_rl_is_told_the_published_ppo() -> None:
 
 def test_it_observes_504_numbers_and_the_columns_and_nothing_waits_for_the_device(env: ManagerBasedRlEnv) -> None:
     shapes = {name: group.shape for name, group in env.observations.groups.items()}
-    assert shapes == {"command": (4,), "proprioception": (384,), "actions": (116,), "voxels": (256,)}
+    assert shapes == {"command": (4,), "proprioception": (384,), "last_actions": (116,), "voxels": (256,)}
     assert 4 + 384 + 116 == 504
     for _ in range(3):
         env.step(env.zeros(29))
@@ -145,7 +145,7 @@ def test_a_robot_in_the_mirror_sees_the_mirror_image(env: ManagerBasedRlEnv) -> 
         {
             "command": torch.tensor([[1.0, 2.0, 3.0, 4.0]]),
             "proprioception": torch.randn(1, 384),
-            "actions": torch.randn(1, 116),
+            "last_actions": torch.randn(1, 116),
             "voxels": columns.flatten(1),
         },
         batch_size=[1],
@@ -164,7 +164,7 @@ def test_on_the_held_out_track_goals_lie_ahead_at_the_tracks_speed(
     apply_preset(cfg, "cpu")
     protocol = HeldOutProtocol(grades=(10.0,), tiers=(0.6,), trials=2)
     scheduler = TrialScheduler(protocol, protocol.find_course(), 2)
-    groups = ("command", "proprioception", "actions", "voxels")
+    groups = ("command", "proprioception", "last_actions", "voxels")
     env = ManagerBasedRlEnv(held_out_env_cfg(cfg.env, scheduler, groups))
     goals = env.commands
     assert isinstance(goals, GoalCommand)

@@ -43,7 +43,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_learns_and_logs(run: Path) -> None:
     curves = read_curves(run)
     assert len(curves["Loss/value"]) == 2
-    assert max(curves["Loss/learning_rate"].values()) <= 5e-4
+    assert max(curves["Loss/learning_rate"].values()) <= 5e-4 * (1.0 + 1e-6)  # curves are in single precision
     first, second = (checkpoint.load(run / f"model_{i}.pt")["policy"]["weights"] for i in range(2))
     for name in ("voxels.1.weight", "ground.0.weight", "proprioception.0.weight", "mlp.0.weight"):
         assert not torch.equal(first[name], second[name]), name

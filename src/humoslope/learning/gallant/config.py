@@ -41,7 +41,7 @@ class GallantCfg(PpoCfg):
     learning_rate: Annotated[float, Range(0.0, 1.0, open_low=True)] = 5e-4
     desired_kl: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.02
     entropy_coef: NotNegative = 0.003
-    vector_groups: tuple[str, ...] = ("command", "proprioception", "actions")
+    vector_groups: tuple[str, ...] = ("command", "proprioception", "last_actions")
     proprioception_dim: Width = 256
     voxel_channels: Width = 8
     voxel_dim: Width = 64
