@@ -11,10 +11,12 @@ from tensordict import TensorDict
 
 from humoslope.check.host_sync import no_host_sync
 from humoslope.env import ManagerBasedRlEnv
+from humoslope.errors import UserError
 from humoslope.evaluation.track.protocol import HeldOutProtocol
 from humoslope.evaluation.track.trials import TrialScheduler, held_out_env_cfg
 from humoslope.learning.gallant.config import GallantCfg
 from humoslope.learning.symmetry import Mirror
+from humoslope.managers import ObservationGroup
 from humoslope.managers.goal import GoalCommand
 from humoslope.presets import apply_preset
 from humoslope.provenance import plain
@@ -121,6 +123,13 @@ def test_it_observes_504_numbers_and_the_columns_and_nothing_waits_for_the_devic
     assert reward.isfinite().all()
     assert obs["voxels"].isfinite().all()
     assert env.non_finite() == []
+
+
+def test_uniform_noise_on_top_of_the_sensors_own_faults_is_refused(env: ManagerBasedRlEnv) -> None:
+    group = build_task(GALLANT).env.observations.voxels
+    group.terms.columns.noise = 0.1
+    with pytest.raises(UserError, match="observation 'voxels.columns' has faults of its own; its noise must be 0"):
+        ObservationGroup(env, "voxels", group)
 
 
 def test_columns_see_the_ramp_ahead(env: ManagerBasedRlEnv) -> None:

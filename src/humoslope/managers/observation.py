@@ -137,9 +137,12 @@ class ObservationGroup:
         self.env, self.cfg, self.history = env, cfg, cfg.history
         self.stateful = StatefulTerms()
         self._calls = {n: self.stateful.keep(bind("observation", n, t, env)) for n, t in cfg.terms.items()}
-        for call in self._calls.values():
-            if isinstance(call, FaultyTerm) and cfg.enable_corruption:
-                call.noise_source = cfg.noise_source
+        for term, call in self._calls.items():
+            if not isinstance(call, FaultyTerm):
+                continue
+            if cfg.terms[term].noise:
+                raise UserError(f"observation '{name}.{term}' has faults of its own; its noise must be 0.")
+            call.noise_source = cfg.noise_source if cfg.enable_corruption else None
         self._noisy = cfg.enable_corruption and any(term.noise for _, term in cfg.terms.items())
         self.term_shapes = {term: self._first_shape(f"{name}.{term}", call) for term, call in self._calls.items()}
         # The calls that found the shapes belong to no episode.

@@ -64,7 +64,7 @@ class VoxelColumns(FaultyTerm):
 
     Args:
         cell: Edge of a cell, m; it must divide 1.6 and 2.
-        noise: Standard deviation of a height, m.
+        height_error: Standard deviation of a height, m.
         holes: Share of columns without a height.
         position_error: Standard deviation of the torso's position along each axis, m.
         angle_error: Standard deviation of its rotation about each axis, rad.
@@ -77,13 +77,13 @@ class VoxelColumns(FaultyTerm):
         self,
         env: Env,
         cell: Positive = FULL,
-        noise: NotNegative = 0.01,
+        height_error: NotNegative = 0.01,
         holes: Share = HOLES,
         position_error: NotNegative = 0.005,
         angle_error: NotNegative = ANGLE_ERROR,
     ) -> None:
         self.grid = ColumnGrid(**BOX, cell=cell)
-        self._noise, self._holes = noise, holes
+        self._height_error, self._holes = height_error, holes
         self._errors = position_error, angle_error
         self._every = max(1, round(1.0 / (RATE * env.step_dt)))  # control steps from one frame to the next
         self._offsets = self.grid.offsets(env.device)  # [2, P]
@@ -149,7 +149,7 @@ class VoxelColumns(FaultyTerm):
     def _with_faults(self, frame: Tensor, uniform: Tensor) -> Tensor:
         """The frame [n, P] with noise and holes, from one uniform number for each column."""
         left = (uniform - self._holes) / (1.0 - self._holes) if self._holes < 1.0 else uniform
-        noisy = torch.add(frame, _normal(left), alpha=self._noise)
+        noisy = torch.add(frame, _normal(left), alpha=self._height_error)
         return torch.where(uniform < self._holes, self.grid.empty, noisy)
 
 

@@ -120,7 +120,7 @@ def test_it_is_exported_and_play_says_in_a_sentence_what_it_cannot_compute(
 
 
 def test_a_cell_that_does_not_fit_its_box_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cell = ["--env.observations.voxels.terms.columns.cell", "0.3"]
+    cell = ["--env.observations.voxels.terms.columns.params.cell", "0.3"]
     assert main(["train", TASK, "--run-dir", str(tmp_path / "run"), *TINY, *cell]) == 2
     assert "a voxel grid's cell of 0.3 m must divide its box of 1.6 m" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "run").exists()
