@@ -159,7 +159,7 @@ def _bytes_per_env(cfg: EnvCfg) -> float:
 def _functions(cfg: EnvCfg) -> list[Any]:
     """Functions and classes of all terms."""
     groups = [group.terms for group in cfg.observations.values()]
-    sets = (*groups, cfg.rewards, cfg.terminations, cfg.events, cfg.curriculum, cfg.observers)
+    sets: tuple[Terms[Any], ...] = (*groups, cfg.rewards, cfg.terminations, cfg.events, cfg.curriculum, cfg.observers)
     return [cfg.command, *(term.func for terms in sets for term in terms.values())]
 
 

@@ -76,7 +76,8 @@ class GallantNetwork(Network):
         convolutions: list[nn.Module] = [Voxels(columns)]
         for before, after in pairwise(channels):
             convolutions += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.Mish()]
-        self.voxels = nn.Sequential(*convolutions, nn.Flatten()).to(memory_format=torch.channels_last)
+        self.voxels = nn.Sequential(*convolutions, nn.Flatten())
+        self.voxels.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's types lack it
         features = self.voxels(torch.zeros(1, columns.side**2)).shape[1]
         self.ground = _encoder(features, voxel_dim)
         for module in self.modules():
