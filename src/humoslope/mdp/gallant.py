@@ -187,13 +187,14 @@ def joint_deviation_l2(env: Env, joints: Joints) -> Tensor:
 
 
 @reads_bodies
-def lateral_distance(env: Env, lefts: tuple[str, ...], rights: tuple[str, ...], span: NotNegativeSpan) -> Tensor:
-    """Distance between left and right bodies across the heading, mean over the pairs, outside of a span, times their
-    number, m.
+def lateral_distance(env: Env, lefts: tuple[Body, ...], rights: tuple[Body, ...], span: NotNegativeSpan) -> Tensor:
+    """Distance of left from right bodies across the heading, outside of a span, m.
+
+    Several pairs are taken together: the sum of their distances, outside of as many spans.
 
     Args:
         lefts, rights: Bodies in the order of their pairs.
-        span: Lowest and highest distance without a price, m.
+        span: Lowest and highest distance of a pair without a price, m.
     """
     if len(lefts) != len(rights) or not lefts:
         raise UserError(f"lateral_distance: there are {len(lefts)} left and {len(rights)} right bodies; give pairs.")
