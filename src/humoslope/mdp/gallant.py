@@ -19,7 +19,7 @@ from humoslope.managers.goal import GoalCommand
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp import declare
 from humoslope.mdp.declare import measured_as, mirrored_as, reads_bodies
-from humoslope.mdp.selection import JointPair, Joints, joint_mask, joint_pair
+from humoslope.mdp.selection import Body, JointPair, Joints, joint_mask, joint_pair
 from humoslope.ranges import NotNegative, NotNegativeSpan, Positive, Range, Share
 from humoslope.slope import quaternion
 
