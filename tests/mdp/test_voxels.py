@@ -141,9 +141,9 @@ def test_extreme_random_numbers_stay_finite():
     assert drawn[0] == -voxels.LARGEST_DEVIATION
 
 
-def standing(make_env, pos=(0.0, 0.0, 0.8), quat=(1.0, 0.0, 0.0, 0.0), slope=0.0):
+def standing(make_env, pos=(0.0, 0.0, 0.8), quat=(1.0, 0.0, 0.0, 0.0), slope=0.0, uphill=0.0):
     """A robot whose torso has this pose, in the middle of a slope."""
-    terrain = plane(slope)
+    terrain = plane(slope, uphill)
     queries = TerrainQueries(terrain, "cpu")
     torso = torch.tensor([pos])
     around = queries.height(queries.around(torso[:, :2]))
@@ -184,6 +184,16 @@ def test_a_torso_that_leans_forward_has_the_ground_ahead_higher_in_its_own_frame
     heights = term(env)[0].view(16, 16)
     # The line along the torso's up axis from a place x ahead meets the ground at -(h - x sin) / cos.
     assert heights[15, 0].item() == pytest.approx(-(0.8 - 0.75 * math.sin(lean)) / math.cos(lean), abs=1e-5)
+
+
+def test_a_robot_in_the_mirror_sees_the_mirror_image(make_env):
+    w, x, y, z = quaternion.from_rotation_vector(torch.tensor([0.15, 0.1, 0.6])).tolist()
+    term, env = standing(make_env, pos=(0.1, 0.2, 0.9), quat=(w, x, y, z), slope=20.0, uphill=50.0)
+    other, there = standing(make_env, pos=(0.1, -0.2, 0.9), quat=(w, -x, y, -z), slope=20.0, uphill=-50.0)
+    index, sign = VoxelColumns.mirror_image(env, cell=0.1)
+    heights = term(env)
+    torch.testing.assert_close(heights[:, index] * sign, other(there), rtol=0.0, atol=1e-5)
+    assert (heights - heights[:, index]).abs().max() > 0.1
 
 
 def test_off_the_tile_the_ground_is_that_of_its_edge(make_env):
