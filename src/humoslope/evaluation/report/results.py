@@ -137,6 +137,8 @@ class Result:
         swept: True if there was a sweep.
         beyond: True if the limit may lie above the steepest grade of the sweep.
         checkpoints: SHA-256 of the checkpoints whose trials are pooled here, as far as the result says.
+        variant: What sets the trained network apart from others of its task, such as a reduced voxel grid; the name
+            ends with it.
     """
 
     name: str
@@ -151,6 +153,12 @@ class Result:
     swept: bool = False
     beyond: bool = False
     checkpoints: tuple[str, ...] = ()
+    variant: str = ""
+
+    @property
+    def given_name(self) -> str:
+        """The name without the variant."""
+        return self.name.removesuffix(f", {self.variant}")
 
     @property
     def goal(self) -> float:
@@ -386,16 +394,18 @@ def from_report(report: Mapping[str, Any], name: str = "") -> Result:
     """The result in a report of `humoslope evaluate`.
 
     Args:
-        name: Name of the method; by default its task.
+        name: Name of the method; by default its task. A variant is named in any case.
 
     Raises:
         KeyError, TypeError, IndexError: If it is something else.
     """
     checkpoints = report["checkpoints"]
-    task = checkpoints[0]["task"]
+    task, variant = checkpoints[0]["task"], checkpoints[0].get("variant", "")
+    called = name or task
     result = Result(
-        name=name or task,
+        name=f"{called}, {variant}" if variant else called,
         task=task,
+        variant=variant,
         training=tuple(_training(c) for c in checkpoints),
         finished=report["finished"],
         trials=report["trials"],

@@ -134,7 +134,7 @@ class _Evaluation:
             store.save(self._path, self.saved, self._fingerprint, protocol)
 
         progress = Progress(scheduler.progress(), self.env.step_dt)
-        title = f"{self.source.task}, iteration {self.source.iteration}"
+        title = f"{self.source.name}, iteration {self.source.iteration}"
 
         def picture() -> Any:
             return view(scheduler.trials(), protocol, title, progress.line(scheduler.progress()))
@@ -165,7 +165,7 @@ class _Evaluation:
         env, sim, protocol = self.env, self.env.cfg.sim, self.protocol
         done = int(self.saved.trials.finished.sum())
         lines = [
-            f"[bold]{self.source.task}[/bold], iteration {self.source.iteration}, "
+            f"[bold]{self.source.name}[/bold], iteration {self.source.iteration}, "
             f"{self.source.total_steps / 1e6:.2f} M steps; {self.source.path}",
             f"{protocol.trials} trials in each of {protocol.num_cells} cells, {env.num_envs} envs; physics "
             f"'{env.sim.backend}' on {env.device}, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone",

@@ -229,7 +229,8 @@ class TrialScheduler:
 def held_out_env_cfg(task_env: EnvCfg, scheduler: TrialScheduler, groups: Sequence[str] = ("actor",)) -> EnvCfg:
     """A task's environment reduced to its robot, its actions and the observations of the policy, on the course.
 
-    Nothing else of the task is kept: not its rewards, terminations, commands, events or curriculum.
+    Nothing else of the task is kept: not its rewards, terminations, events or curriculum, and of its command only the
+    form (`VelocityCommandCfg.on_course`).
 
     Args:
         groups: Observation groups that the policy reads.
@@ -249,14 +250,16 @@ def held_out_env_cfg(task_env: EnvCfg, scheduler: TrialScheduler, groups: Sequen
         episode_length_s=protocol.timeout_s,
         seed=protocol.seed,
         actions=task_env.actions,
-        command=VelocityCommandCfg(
-            speed=(protocol.speed,) * 2,
-            lateral=(0.0, 0.0),
-            heading_share=1.0,
-            heading_gain=protocol.heading_gain,
-            lateral_gain=protocol.lateral_gain,
-            yaw_rate_limit=protocol.yaw_rate_limit,
-            standing_share=0.0,
+        command=task_env.command.on_course(
+            VelocityCommandCfg(
+                speed=(protocol.speed,) * 2,
+                lateral=(0.0, 0.0),
+                heading_share=1.0,
+                heading_gain=protocol.heading_gain,
+                lateral_gain=protocol.lateral_gain,
+                yaw_rate_limit=protocol.yaw_rate_limit,
+                standing_share=0.0,
+            )
         ),
         observations=observations,
         terminations=Terms(trial=TerminationTermCfg(scheduler.judge)),
