@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from humoslope.errors import UserError
+from humoslope.evaluation.causes import count
 from humoslope.evaluation.track.metrics import BIN, Figure
 from humoslope.evaluation.track.summary import Diagnosis, Outcomes, Summary, diagnose, profile, summarise
 from humoslope.provenance import plain
@@ -47,6 +48,7 @@ class Grade:
         diagnosis: Posture and load by "up", "flat" and "down"; None where no trial came.
         profile: Values along the track by name, one for each bin of place; None where no trial came.
         reached: Number of trials that came at least to each multiple of the bin, from 0 on.
+        causes: Number of failed trials by their first cause; None in results of before causes were named.
     """
 
     grade: float
@@ -54,6 +56,7 @@ class Grade:
     diagnosis: dict[str, Diagnosis | None]
     profile: dict[str, list[float | None]]
     reached: list[int]
+    causes: dict[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -160,6 +163,7 @@ def to_report(
     segments: Sequence[Segment],
     speed: float,
     mass: float,
+    causes: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Finished trials as the JSON types that tables and figures are made from. Conditions without a trial are left out.
 
@@ -169,6 +173,7 @@ def to_report(
         segments: Segments of the track.
         speed: Commanded speed, m/s.
         mass: Mass of the robot, kg.
+        causes: First cause of each trial, "" for a success.
     """
     length = sum(segment.length for segment in segments)
     directions = [segment.direction for segment in segments]
@@ -189,6 +194,7 @@ def to_report(
                 diagnosis=diagnose(recorded, directions),
                 profile=profile(recorded),
                 reached=_reached(outcomes, there, length),
+                causes=None if causes is None else count([causes[i] for i in np.flatnonzero(there)]),
             )
         )
         for t, tier in enumerate(tiers):
@@ -304,6 +310,10 @@ def _believable(result: Result) -> Result:
     """
     if not isinstance(result.finished, int) or not isinstance(result.trials, int) or result.finished > result.trials:
         raise ValueError("finished")
+    for grade in result.grades:
+        counts = {} if grade.causes is None else grade.causes
+        if not all(isinstance(n, int) and n >= 0 for n in counts.values()):
+            raise ValueError("causes")
     for summary in [g.summary for g in result.grades] + [c.summary for c in result.cells]:
         for figure in summary.values():
             numbers = vars(figure).values() if isinstance(figure, Proportion | Average) else (figure,)
@@ -325,7 +335,8 @@ def _training(checkpoint: Mapping[str, Any]) -> Training:
 
 def _grade(report: Mapping[str, Any]) -> Grade:
     diagnosis = {name: None if d is None else Diagnosis(**d) for name, d in report["diagnosis"].items()}
-    return Grade(report["grade"], _summary(report["summary"]), diagnosis, report["profile"], report["reached"])
+    causes = report.get("causes")
+    return Grade(report["grade"], _summary(report["summary"]), diagnosis, report["profile"], report["reached"], causes)
 
 
 def _summary(report: Mapping[str, Any]) -> Summary:

@@ -1,0 +1,219 @@
+"""Why a robot failed: the first thing that went wrong, from what was recorded shortly before the end.
+
+Everything follows a fall at once: feet slide, motors saturate, joints run into their limits. So a cause must have begun
+before the robot began to tip for good. Of those that did, the first one counts; if there is none, the robot tipped: it
+lost its balance while ground and motors could still have held it, as after a push.
+
+Signals are instants at the control rate. What lasts less than a control step, such as the hardest part of an impact,
+may fall between two of them. The thresholds are ours, with their reasons beside them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humoslope.statistics import Array, Bools
+
+SLIP, STUMBLE, TORQUE, JOINT, TIP = "slip", "stumble", "torque limit", "joint limit", "tip"
+OFF_TRACK, OUT_OF_TIME, UNCLEAR, UNRECORDED = "off the track", "out of time", "unclear", "not recorded"
+CAUSES = (SLIP, STUMBLE, TORQUE, JOINT, TIP, OFF_TRACK, OUT_OF_TIME, UNCLEAR, UNRECORDED)
+"""All that a failure can be put down to. "Unclear" is a fall in which no threshold was reached, "not recorded" one from
+before the signals were kept."""
+
+MEANING = {
+    SLIP: "a loaded foot slid on the ground, at the limit of friction",
+    STUMBLE: "a shin touched the ground, or a foot ran against something steeper than friction explains",
+    TORQUE: "a motor of legs or waist was at its limit",
+    JOINT: "a joint of legs or waist was at the end of its range",
+    TIP: "the robot lost its balance, with feet, motors and joints within their limits",
+    OFF_TRACK: "it walked off the side of the track",
+    OUT_OF_TIME: "it did not arrive in time",
+    UNCLEAR: "no threshold was reached",
+    UNRECORDED: "trials from before these signals were kept",
+}
+
+WINDOW_S = 1.5
+"""Time before the end that is looked at, s. A pendulum of a G1's height needs some 0.9 s from a lean of 5 degrees to
+one of 70, the end of a trial; what threw it off came before that."""
+SIDES = ("left", "right")
+SIGNALS = (
+    "tilt",
+    "torque_use",
+    "joint_margin",
+    "shin_load",
+    "friction",
+    *(f"foot_{kind}_{side}" for kind in ("load", "drag", "speed") for side in SIDES),
+)
+"""What is recorded at each control step. Forces are shares of the robot's weight.
+
+    tilt            angle of the root's up axis from the vertical, rad
+    torque_use      largest |torque| of a joint of legs or waist, as a share of what its motor can do
+    joint_margin    least distance of such a joint from an end of its range, rad; negative beyond it
+    shin_load       largest ground force on a shin
+    friction        coefficient of friction between feet and ground
+    foot_load_      ground force on a foot along the ground's normal
+    foot_drag_      ground force on a foot across it
+    foot_speed_     speed of the centre of the sole along the ground, m/s
+"""
+
+LOADED = 0.2
+"""Share of the weight from which a foot bears the robot. A foot that touches down or takes off bears less, and slides
+in every walk."""
+SLIDING = 0.2
+"""Speed of a sole that slides, m/s; rolling from heel to toe moves its centre by less."""
+AT_CONE = 0.8
+"""Share of the friction cone from which a foot may slide. Less than 1, as the contacts of a sole on rough ground have
+normals of their own, so that the sum of their forces lies within the cone when each of them is on it."""
+SLIP_LENGTH = 0.04
+"""Way of a loaded sole that makes a slip, m: a fifth of its length, and more than any step of a walk that succeeds."""
+SHIN_LOAD = 0.05
+"""Ground force on a shin, share of the weight: a knee on the ground. Nothing but feet touches it in a walk."""
+STRIKE_LOAD, STRIKE_CONE = 0.1, 1.5
+"""Force across the ground, share of the weight, and how many times what friction allows: more than this is no friction
+but something that stands in the way of the foot."""
+FULL_TORQUE = 0.98
+"""Share of its largest torque from which a motor is at its limit."""
+AT_LIMIT = 0.01
+"""Distance of a joint from the end of its range at which it is there, rad; a stop of MuJoCo is a little soft."""
+HELD_S = 0.1
+"""Time at a limit that is no peak of a step any more, s: a foot's landing takes half of it."""
+TIPPING = 0.3
+"""Rate of the lean from which a robot tips, rad/s, if it never falls below that again."""
+LEAST_TIP = 0.2
+"""Change of the lean that is a tip, rad; in less than that a robot sways while it walks."""
+STEP_S = 0.5
+"""Duration of a step, s: what ended earlier before the robot began to tip was survived."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The first cause of a failure.
+
+    Attributes:
+        cause: One of `CAUSES`.
+        before_s: When it began, s before the end; 0 where that has no meaning.
+        text: What happened, for a human; "" if there is no more to say.
+    """
+
+    cause: str
+    before_s: float = 0.0
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Rows from `first` to `last` in which something held."""
+
+    first: int
+    last: int
+    text: str = ""
+
+
+def first_cause(moments: Mapping[str, NDArray[Any]], dt: float) -> Finding:
+    """The first cause of a fall.
+
+    Args:
+        moments: `SIGNALS` [K] in the order of time, the last one of the moment of the fall; NaN in all of them where
+            nothing was recorded yet.
+        dt: Time between two rows, s.
+    """
+    there = np.isfinite(moments["tilt"].astype(np.float64))
+    if not there.any():
+        return Finding(UNRECORDED)
+    known = {name: moments[name][there].astype(np.float64) for name in SIGNALS}
+    rows = int(there.sum())
+    tip = _tip(known["tilt"], dt)
+    found: list[tuple[int, int, str, str]] = []
+    for rank, (cause, stretches) in enumerate(
+        {
+            SLIP: _slips(known, dt),
+            STUMBLE: _stumbles(known),
+            TORQUE: _held(known["torque_use"] >= FULL_TORQUE, dt, "a motor is at its limit"),
+            JOINT: _held(known["joint_margin"] <= AT_LIMIT, dt, "a joint is at the end of its range"),
+        }.items()
+    ):
+        for stretch in stretches:
+            in_time = tip is None or (stretch.first <= tip and (tip - stretch.last) * dt <= STEP_S)
+            if in_time:
+                found.append((stretch.first, rank, cause, stretch.text))
+    if found:
+        row, _, cause, text = min(found)
+        return Finding(cause, (rows - 1 - row) * dt, text)
+    if tip is None:
+        return Finding(UNCLEAR)
+    return Finding(TIP, (rows - 1 - tip) * dt, f"tips over from a lean of {math.degrees(known['tilt'][tip]):.0f}°")
+
+
+def first_causes(
+    moments: Mapping[str, NDArray[Any]], dt: float, *, fell: Bools, left: Bools, timed_out: Bools
+) -> list[str]:
+    """The first cause of every failed trial, of `CAUSES`; "" for all others.
+
+    Args:
+        moments: `SIGNALS` [T, K] as in `first_cause`; empty if nothing was recorded.
+        dt: Control step, s.
+        fell, left, timed_out: [T] how they ended.
+    """
+
+    def cause(trial: int) -> str:
+        if not fell[trial]:
+            return OFF_TRACK if left[trial] else OUT_OF_TIME if timed_out[trial] else ""
+        return first_cause({name: moments[name][trial] for name in SIGNALS}, dt).cause if moments else UNRECORDED
+
+    return [cause(trial) for trial in range(len(fell))]
+
+
+def count(causes: Sequence[str]) -> dict[str, int]:
+    """How often each of `CAUSES` occurs; zeros are left out."""
+    return {name: causes.count(name) for name in CAUSES if name in causes}
+
+
+def _tip(tilt: Array, dt: float) -> int | None:
+    """The row from which the robot tips without a pause until the end; None if it does not."""
+    if len(tilt) < 2:
+        return None
+    # The mean rate of two steps: a single one is as coarse as the signal.
+    rate = np.convolve(np.diff(tilt, prepend=tilt[0]), np.ones(2) / 2.0, mode="full")[: len(tilt)] / dt
+    still = np.flatnonzero(rate < TIPPING)
+    first = int(still[-1]) if len(still) else 0
+    return first if first < len(tilt) - 1 and tilt[-1] - tilt[first] >= LEAST_TIP else None
+
+
+def _slips(known: Mapping[str, Array], dt: float) -> list[_Stretch]:
+    slips = []
+    for side in SIDES:
+        load, drag, speed = (known[f"foot_{kind}_{side}"] for kind in ("load", "drag", "speed"))
+        sliding = (load >= LOADED) & (speed >= SLIDING) & (drag >= AT_CONE * known["friction"] * load)
+        for first, last in _runs(sliding):
+            way = float(speed[first : last + 1].sum() * dt)
+            if way >= SLIP_LENGTH:
+                slips.append(_Stretch(first, last, f"the {side} foot slides by {100.0 * way:.0f} cm"))
+    return slips
+
+
+def _stumbles(known: Mapping[str, Array]) -> list[_Stretch]:
+    struck = [_Stretch(*run, "a shin is on the ground") for run in _runs(known["shin_load"] >= SHIN_LOAD)]
+    for side in SIDES:
+        load, drag = (known[f"foot_{kind}_{side}"] for kind in ("load", "drag"))
+        against = (drag >= STRIKE_LOAD) & (drag > STRIKE_CONE * known["friction"] * np.maximum(load, 0.0))
+        struck += [_Stretch(*run, f"the {side} foot runs against the ground") for run in _runs(against)]
+    return struck
+
+
+def _held(at_limit: Bools, dt: float, text: str) -> list[_Stretch]:
+    """Stretches of at least `HELD_S` in which a limit is reached."""
+    least = HELD_S / dt - 1e-6
+    return [_Stretch(first, last, text) for first, last in _runs(at_limit) if last - first + 1 >= least]
+
+
+def _runs(mask: Bools) -> list[tuple[int, int]]:
+    """The first and the last row of each stretch of true rows."""
+    steps = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
+    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1
+    return [(int(first), int(last)) for first, last in zip(starts, ends, strict=True)]
