@@ -71,22 +71,27 @@ AT_CONE = 0.8
 """Share of the friction cone from which a foot may slide. Less than 1, as the contacts of a sole on rough ground have
 normals of their own, so that the sum of their forces lies within the cone when each of them is on it."""
 SLIP_LENGTH = 0.04
-"""Way of a loaded sole that makes a slip, m: a fifth of its length, and more than any step of a walk that succeeds."""
+"""Way of a loaded sole that makes a slip, m: a fifth of its length. Landing feet of the shipped Stage II slide by up to 2 cm
+on the held-out track; slips that it survived on rough ground of 30 degrees went up to 9 cm."""
 SHIN_LOAD = 0.05
 """Ground force on a shin, share of the weight: a knee on the ground. Nothing but feet touches it in a walk."""
-STRIKE_LOAD, STRIKE_CONE = 0.1, 1.5
+STRIKE_LOAD, STRIKE_CONE = 0.1, 3.0
 """Force across the ground, share of the weight, and how many times what friction allows: more than this is no friction
-but something that stands in the way of the foot."""
+but something that stands in the way of the foot. On the edges of rough ground the shipped Stage II reaches twice of what
+friction allows once in ten seconds, and not three times."""
 FULL_TORQUE = 0.98
 """Share of its largest torque from which a motor is at its limit."""
 AT_LIMIT = 0.01
 """Distance of a joint from the end of its range at which it is there, rad; a stop of MuJoCo is a little soft."""
-HELD_S = 0.1
-"""Time at a limit that is no peak of a step any more, s: a foot's landing takes half of it."""
+TORQUE_S = 0.1
+"""Time at full torque that is no peak of a step any more, s; the shipped Stage II needs it for at most 0.06 s."""
+JOINT_S = 0.2
+"""Time at the end of a joint's range that is no part of a step any more, s: on 30 degrees the shipped Stage II stretches
+a leg to its end for up to 0.16 s in a step."""
 TIPPING = 0.3
 """Rate of the lean from which a robot tips, rad/s, if it never falls below that again."""
 LEAST_TIP = 0.2
-"""Change of the lean that is a tip, rad; in less than that a robot sways while it walks."""
+"""Change of the lean that is a tip, rad; in a walk that succeeds it changes by up to 0.14 without a pause."""
 STEP_S = 0.5
 """Duration of a step, s: what ended earlier before the robot began to tip was survived."""
 
@@ -134,8 +139,8 @@ def first_cause(moments: Mapping[str, NDArray[Any]], dt: float) -> Finding:
         {
             SLIP: _slips(known, dt),
             STUMBLE: _stumbles(known),
-            TORQUE: _held(known["torque_use"] >= FULL_TORQUE, dt, "a motor is at its limit"),
-            JOINT: _held(known["joint_margin"] <= AT_LIMIT, dt, "a joint is at the end of its range"),
+            TORQUE: _held(known["torque_use"] >= FULL_TORQUE, TORQUE_S, dt, "a motor is at its limit"),
+            JOINT: _held(known["joint_margin"] <= AT_LIMIT, JOINT_S, dt, "a joint is at the end of its range"),
         }.items()
     ):
         for stretch in stretches:
@@ -206,9 +211,9 @@ def _stumbles(known: Mapping[str, Array]) -> list[_Stretch]:
     return struck
 
 
-def _held(at_limit: Bools, dt: float, text: str) -> list[_Stretch]:
-    """Stretches of at least `HELD_S` in which a limit is reached."""
-    least = HELD_S / dt - 1e-6
+def _held(at_limit: Bools, seconds: float, dt: float, text: str) -> list[_Stretch]:
+    """Stretches of at least `seconds` in which a limit is reached."""
+    least = seconds / dt - 1e-6
     return [_Stretch(first, last, text) for first, last in _runs(at_limit) if last - first + 1 >= least]
 
 

@@ -20,8 +20,8 @@ CARRYING = ".*(hip|knee|ankle|waist).*"
 """Joints whose torque or range can let a robot fall, as a regular expression; arms only swing. All joints of a robot
 that has none of these."""
 SOLE_SCALE = 0.12
-"""Half the extent over which the ground's normal below a foot is taken, m. About half a sole: it follows the slope and its
-ends, but not the grains of a rough surface, against which a foot can run."""
+"""Half the extent over which the ground's normal below a foot is taken, m: about half a sole. It follows the slope and
+its ends, but not the grains of a rough surface, against which a foot can run."""
 
 LastMoments = dict[str, NDArray[np.float16]]
 """`SIGNALS` [T, K] of T trials, in the order of time; NaN where nothing was recorded."""

@@ -1,0 +1,111 @@
+"""Trials of a policy that walks, made to fail in known ways: each is put down to what was done to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from humoslope.cli.measure import trained
+from humoslope.env import ManagerBasedRlEnv
+from humoslope.evaluation import causes
+from humoslope.evaluation.moments import window_steps
+from humoslope.evaluation.report.results import from_report, to_report
+from humoslope.evaluation.report.tables import causes_table
+from humoslope.evaluation.track import store
+from humoslope.evaluation.track.protocol import HeldOutProtocol
+from humoslope.evaluation.track.trials import HeldOutTrials, TrialScheduler, held_out_env_cfg, run_trials
+from humoslope.learning.policy import load_actor, read_spec
+from tests.evaluation.made_up import report
+
+PROTOCOL = HeldOutProtocol(grades=(0.0,), tiers=(0.03, 0.6), trials=3, timeout_s=4.0)
+SLIPPERY, WEAK, PUSHED, UNDISTURBED = slice(0, 3), 3, 4, 5
+DT = 0.02
+
+
+@pytest.fixture(scope="module")
+def trials(stage1_checkpoint: Path) -> HeldOutTrials:
+    """Three trials on ice, then one with weak motors, one that is pushed, and one that has too little time."""
+    _, task = trained(stage1_checkpoint)
+    scheduler = TrialScheduler(PROTOCOL, PROTOCOL.find_course(), parallel_trials=3)
+    env = ManagerBasedRlEnv(held_out_env_cfg(task.env, scheduler, read_spec(stage1_checkpoint).groups))
+    weak = torch.arange(6) == WEAK
+    env.drives.set(weak, strength=torch.full((6, 29), 0.25))
+
+    def push(running: Tensor) -> None:
+        if int(env.episode_length_buf[PUSHED]) == 100:
+            env.sim.state("qvel")[PUSHED, 1] += 2.5  # to its left
+
+    return run_trials(env, load_actor(stage1_checkpoint, env), scheduler, push)
+
+
+def test_each_failure_is_put_down_to_what_was_done(trials: HeldOutTrials) -> None:
+    found = trials.causes(DT)
+    assert found[SLIPPERY] == [causes.SLIP] * 3
+    assert found[WEAK] == causes.TORQUE
+    assert found[PUSHED] == causes.TIP
+    assert found[UNDISTURBED] == causes.OUT_OF_TIME
+
+
+def test_only_the_last_moments_of_falls_are_kept(trials: HeldOutTrials) -> None:
+    tilt = trials.moments["tilt"]
+    assert tilt.shape == (6, window_steps(DT))
+    assert tilt.dtype == np.float16
+    assert np.isfinite(tilt[:, -1]).tolist() == trials.fell.tolist()
+    assert np.isnan(tilt[UNDISTURBED]).all()
+    for i in np.flatnonzero(trials.fell):
+        assert np.isfinite(tilt[i]).sum() == min(window_steps(DT), round(trials.seconds[i] / DT))
+    assert (trials.moments["friction"][PUSHED] == np.float16(0.6)).all()
+
+
+def test_causes_are_the_same_from_the_saved_trials_and_those_of_older_files_are_not_recorded(
+    trials: HeldOutTrials, tmp_path: Path
+) -> None:
+    path = tmp_path / "trials.npz"
+    store.save(path, store.SavedTrials(trials, 1.0, ()), "mark", PROTOCOL)
+    kept = store.load(path, "mark", PROTOCOL)
+    assert kept is not None
+    assert kept.trials.causes(DT) == trials.causes(DT)
+
+    with np.load(path) as archive:
+        older = {name: archive[name] for name in archive.files if not name.startswith("moments.")}
+    np.savez(path, **older)
+    old = store.load(path, "mark", PROTOCOL)
+    assert old is not None
+    assert old.trials.causes(DT)[:5] == [causes.UNRECORDED] * 5
+    # An evaluation that goes on from it has both.
+    new = trials.with_moments(window_steps(DT))
+    store.save(path, store.SavedTrials(new, 1.0, ()), "mark", PROTOCOL)
+    again = store.load(path, "mark", PROTOCOL)
+    assert again is not None
+    assert again.trials.causes(DT) == trials.causes(DT)
+    resumed = TrialScheduler(PROTOCOL, PROTOCOL.find_course(), 3, old.trials)
+    assert resumed.earlier is not None
+    assert resumed.earlier.with_moments(window_steps(DT)).moments["tilt"].shape == (6, window_steps(DT))
+
+
+def test_causes_are_counted_by_grade_in_report_and_table(trials: HeldOutTrials) -> None:
+    told = to_report(
+        trials,
+        grades=PROTOCOL.grades,
+        tiers=PROTOCOL.tiers,
+        segments=PROTOCOL.find_course().segments,
+        speed=0.5,
+        mass=33.0,
+        causes=trials.causes(DT),
+    )
+    counts = {causes.SLIP: 3, causes.TORQUE: 1, causes.TIP: 1, causes.OUT_OF_TIME: 1}
+    assert told["grades"][0]["causes"] == counts
+    older = report(task="Older")
+    results = [from_report(report(**told)), from_report(older)]
+    sheet = causes_table(results)
+    first = SimpleNamespace(**dict(zip([column.label for column in sheet.columns], sheet.rows[0].values, strict=True)))
+    assert (first.grade, first.trials, first.failed) == (0.0, 6, 6)
+    assert {name: vars(first)[name] for name in counts} == counts
+    assert all(value is None for row in sheet.rows[1:] for value in row.values[3:])
+    assert "evaluated before causes were named" in sheet.to_markdown()
+    assert "| 3 |" in sheet.to_markdown()
