@@ -21,6 +21,7 @@ VERBS = {
     "table": "Print the paper's tables beside the results of evaluations.",
     "figures": "Draw the results of evaluations.",
     "curve": "Draw the learning curve of a run.",
+    "report": "Write one HTML page of a run or of a comparison.",
     "compare": "Compare training runs after equally many environment steps.",
     "record": "Record one walk of a checkpoint to a file.",
     "replay": "Show a recorded walk in rerun.",

@@ -71,14 +71,14 @@ AT_CONE = 0.8
 """Share of the friction cone from which a foot may slide. Less than 1, as the contacts of a sole on rough ground have
 normals of their own, so that the sum of their forces lies within the cone when each of them is on it."""
 SLIP_LENGTH = 0.04
-"""Way of a loaded sole that makes a slip, m: a fifth of its length. Landing feet of the shipped Stage II slide by up to 2 cm
-on the held-out track; slips that it survived on rough ground of 30 degrees went up to 9 cm."""
+"""Way of a loaded sole that makes a slip, m: a fifth of its length. Landing feet of the shipped Stage II slide by up to
+2 cm on the held-out track; slips that it survived on rough ground of 30 degrees went up to 9 cm."""
 SHIN_LOAD = 0.05
 """Ground force on a shin, share of the weight: a knee on the ground. Nothing but feet touches it in a walk."""
 STRIKE_LOAD, STRIKE_CONE = 0.1, 3.0
 """Force across the ground, share of the weight, and how many times what friction allows: more than this is no friction
-but something that stands in the way of the foot. On the edges of rough ground the shipped Stage II reaches twice of what
-friction allows once in ten seconds, and not three times."""
+but something that stands in the way of the foot. On the edges of rough ground the shipped Stage II reaches twice of
+what friction allows up to three times in half a minute, and not three times as much."""
 FULL_TORQUE = 0.98
 """Share of its largest torque from which a motor is at its limit."""
 AT_LIMIT = 0.01
@@ -86,8 +86,8 @@ AT_LIMIT = 0.01
 TORQUE_S = 0.1
 """Time at full torque that is no peak of a step any more, s; the shipped Stage II needs it for at most 0.06 s."""
 JOINT_S = 0.2
-"""Time at the end of a joint's range that is no part of a step any more, s: on 30 degrees the shipped Stage II stretches
-a leg to its end for up to 0.16 s in a step."""
+"""Time at the end of a joint's range that is no part of a step any more, s: on 30 degrees the shipped Stage II
+stretches a leg to its end for up to 0.16 s in a step."""
 TIPPING = 0.3
 """Rate of the lean from which a robot tips, rad/s, if it never falls below that again."""
 LEAST_TIP = 0.2
