@@ -1,8 +1,10 @@
 """Why a robot failed: the first thing that went wrong, from what was recorded shortly before the end.
 
-Everything follows a fall at once: feet slide, motors saturate, joints run into their limits. So a cause must have begun
-before the robot began to tip for good. Of those that did, the first one counts; if there is none, the robot tipped: it
-lost its balance while ground and motors could still have held it, as after a push.
+Everything follows a fall at once: feet slide, motors saturate, joints run into their limits. So what the ground does
+(slip, stumble) must have begun before the robot leaned further than it ever does in a walk, and what the robot itself
+does (torque limit, joint limit), as it also does to catch itself, before it began to lean. Of the causes that did, the
+first one counts; if there is none, the robot tipped: it lost its balance while ground and motors could still have held
+it, as after a push.
 
 Signals are instants at the control rate. What lasts less than a control step, such as the hardest part of an impact,
 may fall between two of them. The thresholds are ours, with their reasons beside them.
@@ -75,10 +77,12 @@ SLIP_LENGTH = 0.04
 2 cm on the held-out track; slips that it survived on rough ground of 30 degrees went up to 9 cm."""
 SHIN_LOAD = 0.05
 """Ground force on a shin, share of the weight: a knee on the ground. Nothing but feet touches it in a walk."""
+SWINGING = 0.5
+"""Speed of a foot that is being brought forward, m/s."""
 STRIKE_LOAD, STRIKE_CONE = 0.1, 3.0
-"""Force across the ground, share of the weight, and how many times what friction allows: more than this is no friction
-but something that stands in the way of the foot. On the edges of rough ground the shipped Stage II reaches twice of
-what friction allows up to three times in half a minute, and not three times as much."""
+"""Force across the ground on a swinging foot, share of the weight, and how many times what friction allows: more than
+this is no friction but something that stands in its way. On the edges of rough ground the shipped Stage II reaches
+twice of what friction allows up to three times in half a minute, and not three times as much."""
 FULL_TORQUE = 0.98
 """Share of its largest torque from which a motor is at its limit."""
 AT_LIMIT = 0.01
@@ -88,12 +92,11 @@ TORQUE_S = 0.1
 JOINT_S = 0.2
 """Time at the end of a joint's range that is no part of a step any more, s: on 30 degrees the shipped Stage II
 stretches a leg to its end for up to 0.16 s in a step."""
-TIPPING = 0.3
-"""Rate of the lean from which a robot tips, rad/s, if it never falls below that again."""
-LEAST_TIP = 0.2
-"""Change of the lean that is a tip, rad; in a walk that succeeds it changes by up to 0.14 without a pause."""
+LEANING = math.radians(15.0)
+"""Lean of the root from the vertical beyond which a robot is not in balance any more, rad; the shipped Stage II reaches
+14 degrees on slopes of 30."""
 STEP_S = 0.5
-"""Duration of a step, s: what ended earlier before the robot began to tip was survived."""
+"""Duration of a step, s: what ended earlier before the robot began to lean was survived."""
 
 
 @dataclass(frozen=True)
@@ -133,26 +136,26 @@ def first_cause(moments: Mapping[str, NDArray[Any]], dt: float) -> Finding:
         return Finding(UNRECORDED)
     known = {name: moments[name][there].astype(np.float64) for name in SIGNALS}
     rows = int(there.sum())
-    tip = _tip(known["tilt"], dt)
+    lean = _lean(known["tilt"])
     found: list[tuple[int, int, str, str]] = []
-    for rank, (cause, stretches) in enumerate(
-        {
-            SLIP: _slips(known, dt),
-            STUMBLE: _stumbles(known),
-            TORQUE: _held(known["torque_use"] >= FULL_TORQUE, TORQUE_S, dt, "a motor is at its limit"),
-            JOINT: _held(known["joint_margin"] <= AT_LIMIT, JOINT_S, dt, "a joint is at the end of its range"),
-        }.items()
+    for rank, (cause, stretches, deadline) in enumerate(
+        (
+            (SLIP, _slips(known, dt), lean.last),
+            (STUMBLE, _stumbles(known), lean.last),
+            (TORQUE, _held(known["torque_use"] >= FULL_TORQUE, TORQUE_S, dt, "a motor is at its limit"), lean.first),
+            (JOINT, _held(known["joint_margin"] <= AT_LIMIT, JOINT_S, dt, "a joint is at its end"), lean.first),
+        )
     ):
         for stretch in stretches:
-            in_time = tip is None or (stretch.first <= tip and (tip - stretch.last) * dt <= STEP_S)
-            if in_time:
+            if stretch.first <= deadline and (lean.first - stretch.last) * dt <= STEP_S:
                 found.append((stretch.first, rank, cause, stretch.text))
     if found:
         row, _, cause, text = min(found)
         return Finding(cause, (rows - 1 - row) * dt, text)
-    if tip is None:
+    if known["tilt"][-1] < LEANING:
         return Finding(UNCLEAR)
-    return Finding(TIP, (rows - 1 - tip) * dt, f"tips over from a lean of {math.degrees(known['tilt'][tip]):.0f}°")
+    angle = math.degrees(known["tilt"][lean.first])
+    return Finding(TIP, (rows - 1 - lean.first) * dt, f"the robot tips over from a lean of {angle:.0f}°")
 
 
 def first_causes(
@@ -179,15 +182,14 @@ def count(causes: Sequence[str]) -> dict[str, int]:
     return {name: causes.count(name) for name in CAUSES if name in causes}
 
 
-def _tip(tilt: Array, dt: float) -> int | None:
-    """The row from which the robot tips without a pause until the end; None if it does not."""
-    if len(tilt) < 2:
-        return None
-    # The mean rate of two steps: a single one is as coarse as the signal.
-    rate = np.convolve(np.diff(tilt, prepend=tilt[0]), np.ones(2) / 2.0, mode="full")[: len(tilt)] / dt
-    still = np.flatnonzero(rate < TIPPING)
-    first = int(still[-1]) if len(still) else 0
-    return first if first < len(tilt) - 1 and tilt[-1] - tilt[first] >= LEAST_TIP else None
+def _lean(tilt: Array) -> _Stretch:
+    """The rows in which the robot began to lean for good, from a lean that does not grow to `LEANING`; all rows if it
+    never leans that far, as one that sinks."""
+    upright = np.flatnonzero(tilt < LEANING)
+    last = int(upright[-1]) if len(upright) else 0
+    still = np.flatnonzero(np.diff(tilt[: last + 1]) <= 0.0)
+    first = int(still[-1]) + 1 if len(still) else 0
+    return _Stretch(first if last < len(tilt) - 1 else last, last)
 
 
 def _slips(known: Mapping[str, Array], dt: float) -> list[_Stretch]:
@@ -205,8 +207,10 @@ def _slips(known: Mapping[str, Array], dt: float) -> list[_Stretch]:
 def _stumbles(known: Mapping[str, Array]) -> list[_Stretch]:
     struck = [_Stretch(*run, "a shin is on the ground") for run in _runs(known["shin_load"] >= SHIN_LOAD)]
     for side in SIDES:
-        load, drag = (known[f"foot_{kind}_{side}"] for kind in ("load", "drag"))
-        against = (drag >= STRIKE_LOAD) & (drag > STRIKE_CONE * known["friction"] * np.maximum(load, 0.0))
+        load, drag, speed = (known[f"foot_{kind}_{side}"] for kind in ("load", "drag", "speed"))
+        # A foot that is stopped is slow already at the instant after.
+        swinging = np.maximum(speed, np.concatenate([speed[:1], speed[:-1]])) >= SWINGING
+        against = swinging & (drag >= STRIKE_LOAD) & (drag > STRIKE_CONE * known["friction"] * np.maximum(load, 0.0))
         struck += [_Stretch(*run, f"the {side} foot runs against the ground") for run in _runs(against)]
     return struck
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,22 +23,25 @@ from humoslope.evaluation.track.trials import HeldOutTrials, TrialScheduler, hel
 from humoslope.learning.policy import load_actor, read_spec
 from tests.evaluation.made_up import report
 
-PROTOCOL = HeldOutProtocol(grades=(0.0,), tiers=(0.03, 0.6), trials=3, timeout_s=4.0)
-SLIPPERY, WEAK, PUSHED, UNDISTURBED = slice(0, 3), 3, 4, 5
+PROTOCOL = HeldOutProtocol(grades=(20.0,), tiers=(0.0, 0.6), trials=3, start_place=3.5, timeout_s=3.0)
+"""Trials that start on a slope: three with no more friction than standing still needs, and three others."""
+WEAK, PUSHED, UNDISTURBED = 3, 4, 5
 DT = 0.02
 
 
 @pytest.fixture(scope="module")
 def trials(stage1_checkpoint: Path) -> HeldOutTrials:
-    """Three trials on ice, then one with weak motors, one that is pushed, and one that has too little time."""
+    """Of the others, one has motors of a third of their torque, one is pushed, and one has too little time."""
     _, task = trained(stage1_checkpoint)
     scheduler = TrialScheduler(PROTOCOL, PROTOCOL.find_course(), parallel_trials=3)
     env = ManagerBasedRlEnv(held_out_env_cfg(task.env, scheduler, read_spec(stage1_checkpoint).groups))
-    weak = torch.arange(6) == WEAK
-    env.drives.set(weak, strength=torch.full((6, 29), 0.25))
+    third = torch.full((6, 29), 1.0 / 3.0)
+    # The gains are as before, so that the motors' limit alone differs.
+    gains = {"stiffness": 3.0 * env.drives.stiffness, "damping": 3.0 * env.drives.damping}
+    env.drives.set(torch.arange(6) == WEAK, strength=third, **gains)
 
     def push(running: Tensor) -> None:
-        if int(env.episode_length_buf[PUSHED]) == 100:
+        if int(env.episode_length_buf[PUSHED]) == 60:
             env.sim.state("qvel")[PUSHED, 1] += 2.5  # to its left
 
     return run_trials(env, load_actor(stage1_checkpoint, env), scheduler, push)
@@ -45,7 +49,8 @@ def trials(stage1_checkpoint: Path) -> HeldOutTrials:
 
 def test_each_failure_is_put_down_to_what_was_done(trials: HeldOutTrials) -> None:
     found = trials.causes(DT)
-    assert found[SLIPPERY] == [causes.SLIP] * 3
+    assert {found[i] for i in range(3) if trials.fell[i]} == {causes.SLIP}
+    assert trials.fell[:3].sum() >= 2
     assert found[WEAK] == causes.TORQUE
     assert found[PUSHED] == causes.TIP
     assert found[UNDISTURBED] == causes.OUT_OF_TIME
@@ -59,7 +64,7 @@ def test_only_the_last_moments_of_falls_are_kept(trials: HeldOutTrials) -> None:
     assert np.isnan(tilt[UNDISTURBED]).all()
     for i in np.flatnonzero(trials.fell):
         assert np.isfinite(tilt[i]).sum() == min(window_steps(DT), round(trials.seconds[i] / DT))
-    assert (trials.moments["friction"][PUSHED] == np.float16(0.6)).all()
+    assert np.nanmax(trials.moments["friction"][PUSHED]) == np.float16(math.tan(math.radians(20.0)) + 0.6)
 
 
 def test_causes_are_the_same_from_the_saved_trials_and_those_of_older_files_are_not_recorded(
@@ -76,7 +81,9 @@ def test_causes_are_the_same_from_the_saved_trials_and_those_of_older_files_are_
     np.savez(path, **older)
     old = store.load(path, "mark", PROTOCOL)
     assert old is not None
-    assert old.trials.causes(DT)[:5] == [causes.UNRECORDED] * 5
+    assert {cause for cause, fell in zip(old.trials.causes(DT), trials.fell, strict=True) if fell} == {
+        causes.UNRECORDED
+    }
     # An evaluation that goes on from it has both.
     new = trials.with_moments(window_steps(DT))
     store.save(path, store.SavedTrials(new, 1.0, ()), "mark", PROTOCOL)
@@ -98,14 +105,14 @@ def test_causes_are_counted_by_grade_in_report_and_table(trials: HeldOutTrials) 
         mass=33.0,
         causes=trials.causes(DT),
     )
-    counts = {causes.SLIP: 3, causes.TORQUE: 1, causes.TIP: 1, causes.OUT_OF_TIME: 1}
-    assert told["grades"][0]["causes"] == counts
+    counts = told["grades"][0]["causes"]
+    assert counts == causes.count(trials.causes(DT))
+    assert sum(counts.values()) == 6
     older = report(task="Older")
     results = [from_report(report(**told)), from_report(older)]
     sheet = causes_table(results)
     first = SimpleNamespace(**dict(zip([column.label for column in sheet.columns], sheet.rows[0].values, strict=True)))
-    assert (first.grade, first.trials, first.failed) == (0.0, 6, 6)
+    assert (first.grade, first.trials, first.failed) == (20.0, 6, 6)
     assert {name: vars(first)[name] for name in counts} == counts
     assert all(value is None for row in sheet.rows[1:] for value in row.values[3:])
     assert "evaluated before causes were named" in sheet.to_markdown()
-    assert "| 3 |" in sheet.to_markdown()
