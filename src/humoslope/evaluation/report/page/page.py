@@ -196,7 +196,14 @@ def _configuration(policies: Sequence[Policy]) -> Section:
 
 
 def _value(value: Any) -> str:
-    text = "-" if value is None else value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    """A value of a configuration in a line; a term as its function with its parameters."""
+    if isinstance(value, dict) and "func" in value:
+        params = value.get("params") or {}
+        text = f"{value['func'].rpartition('.')[2]}({', '.join(f'{k}={_value(v)}' for k, v in params.items())})"
+    elif value is None or isinstance(value, str):
+        text = value or "-"
+    else:
+        text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 

@@ -46,7 +46,8 @@ class Policy:
         default: That of today's task; None if it is not registered here.
         curves: Its learning curves by tag; None if there are none.
         starts: Records of the starts of its run.
-        results: Newest result of each of `RESULTS`.
+        results: The largest result of each of `RESULTS`; of equal ones the newest. Of ramps, those that are walked
+            straight up and down count before all others.
         rollout: A recorded walk; None if there is none.
         damaged: Files that could not be read.
     """
@@ -139,14 +140,15 @@ def _collect(policy: Policy, also: Sequence[Path]) -> None:
             record["git"] = _text(folder / "git.txt")
     policy.curves = _curves(policy, also)
     places = [policy.origin.path.parent, *also]
-    newest: dict[str, float] = {}
+    weights: dict[str, tuple[float, ...]] = {}
     for path in _files(places, ".json"):
         report = _json(path, policy)
         what = report.get("what") if report else None
         if report is None or what not in RESULTS or not _belongs(report, policy.hashes):
             continue
-        if path.stat().st_mtime >= newest.get(what, 0.0):
-            newest[what] = path.stat().st_mtime
+        weight = (*_weight(report), path.stat().st_mtime)
+        if weight > weights.get(what, ()):
+            weights[what] = weight
             policy.results[what] = report
     rollouts = [path for path in _files(places, ".npz") if _is_rollout_of(path, policy.hashes)]
     policy.rollout = max(rollouts, key=lambda path: path.stat().st_mtime, default=None)
@@ -161,6 +163,15 @@ def _files(places: Sequence[Path], suffix: str) -> Iterator[Path]:
             if path.suffix == suffix and path.resolve() not in seen:
                 seen.add(path.resolve())
                 yield path
+
+
+def _weight(report: Report) -> tuple[float, float]:
+    """What tells the result to show from others of its kind."""
+    protocol = report.get("protocol")
+    asked = protocol if isinstance(protocol, dict) else {}
+    straight = float(asked.get("speed", 0.0) > 0.0 and not asked.get("across") and not asked.get("push"))
+    ramps = report.get("ramps") or []
+    return straight, float(report.get("finished") or sum(r["falls"]["total"] for r in ramps))
 
 
 def _belongs(report: Report, hashes: Sequence[str]) -> bool:
@@ -207,27 +218,30 @@ def _text(path: Path) -> str:
         return ""
 
 
-def flat(value: Any, prefix: str = "") -> dict[str, Any]:
-    """A configuration by the dotted paths of its fields."""
-    if isinstance(value, Mapping) and value:
-        found: dict[str, Any] = {}
-        for name, child in value.items():
-            found |= flat(child, f"{prefix}.{name}" if prefix else str(name))
-        return found
-    return {prefix: value}
+ABSENT = "absent"
+"""Value of a field that a configuration does not have."""
 
 
 def differing(policies: Sequence[Policy]) -> dict[str, list[Any]]:
     """Fields in which a policy differs from today's task, or policies from each other: path -> default, then each one.
 
-    Policies without a configuration have no value. The default is that of the first policy's task.
+    The value of who has no configuration is None. The default is that of the first policy's task.
     """
-    columns = [flat(policies[0].default or {}), *(flat(policy.config or {}) for policy in policies)]
-    known = [column for column in columns if column]
-    paths = sorted({path for column in known for path in column})
-    absent = "absent"
+    columns = [policies[0].default, *(policy.config for policy in policies)]
+    there = [column for column in columns if column is not None]
+    found = iter(_differences(there))
     return {
-        path: [column.get(path, absent) if column else None for column in columns]
-        for path in paths
-        if len({json.dumps(column.get(path, absent)) for column in known}) > 1
+        path: [None if column is None else next(own) for column in columns]
+        for path, values in found
+        for own in [iter(values)]
     }
+
+
+def _differences(values: Sequence[Any], path: str = "") -> Iterator[tuple[str, list[Any]]]:
+    """Paths at which values differ, with all of them. Below a part that one of them lacks nothing is told apart."""
+    if all(isinstance(value, Mapping) for value in values):
+        for name in dict.fromkeys(name for value in values for name in value):
+            inner = [value.get(name, ABSENT) for value in values]
+            yield from _differences(inner, f"{path}.{name}" if path else str(name))
+    elif len({json.dumps(value) for value in values}) > 1:
+        yield path, list(values)
