@@ -190,7 +190,6 @@ def test_everything_that_was_measured_is_shown(run: Path, tmp_path: Path, monkey
     assert "holds to" in page.text
     assert "commit t" in page.text
     assert str(run / "broken.json") in page.text
-    assert "paper: Ours" not in made(run, "--no-paper", "--no-pictures").text
 
 
 def test_results_elsewhere_belong_to_a_checkpoint_by_its_hash_and_runs_are_compared(run: Path, tmp_path: Path) -> None:

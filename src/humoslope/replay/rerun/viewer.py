@@ -83,7 +83,7 @@ def served(path: Path, web_port: int, port: int) -> Iterator[str]:
         # Between fork and exec it only calls functions of the C library.
         page = subprocess.Popen(command, stdout=said, stderr=said, preexec_fn=die_with_parent)  # noqa: PLW1509
         try:
-            _wait_for(page, web_port, said)
+            wait_for_page(page, web_port, said)
             yield f"http://{HOST}:{web_port}/?url={quote(recording, safe='')}"
         finally:
             page.terminate()
@@ -124,7 +124,15 @@ def check_port(option: str, number: int) -> None:
             raise UserError(f"port {number} cannot be used ({reason}); choose another with --{option}.") from None
 
 
-def _wait_for(page: subprocess.Popen[bytes], web_port: int, said: IO[str]) -> None:
+def wait_for_page(page: subprocess.Popen[bytes], web_port: int, said: IO[str]) -> None:
+    """Waits until the viewer's server listens on a port.
+
+    Args:
+        said: What the server has said, for the message.
+
+    Raises:
+        UserError: If it ends before, or takes longer than `START_S`.
+    """
     until = time.monotonic() + START_S
     while time.monotonic() < until:
         if page.poll() is not None:
