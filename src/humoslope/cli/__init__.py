@@ -20,6 +20,7 @@ VERBS = {
     "calibrate": "Fit the swing reference of Stage II to a Stage-I checkpoint.",
     "table": "Print the paper's tables beside the results of evaluations.",
     "figures": "Draw the results of evaluations.",
+    "dashboard": "Show the curves of a training in the terminal.",
     "curve": "Draw the learning curve of a run.",
     "report": "Write one HTML page of a run or of a comparison.",
     "compare": "Compare training runs after equally many environment steps.",

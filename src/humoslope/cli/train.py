@@ -110,6 +110,7 @@ def _train(
 ) -> None:
     processes = read_processes()
     # What can be wrong is said before anything is written, and as far as possible before anything is built.
+    _check_looking(args)
     cfg.agent.check()
     device = choose_device(cfg.env.sim.device, cfg.env.sim.backend, processes)
     # Every process draws its own randomness, on a device of its own; the checkpoint keeps what was asked for.
@@ -143,6 +144,17 @@ def _train(
         # A launcher of several processes takes any other code than 0 for a failure, and ends those that still save.
         if not trainer.train() and processes.size == 1:
             raise Terminated(trainer.stopped_by)
+
+
+def _check_looking(args: TrainArgs) -> None:
+    if args.video_every < 0:
+        raise UserError(f"--video-every is {args.video_every}; it must be 0 or more.")
+    if args.watch:
+        if args.watch_worlds < 1:
+            raise UserError(f"--watch-worlds is {args.watch_worlds}; it must be at least 1.")
+        from humoslope.replay.rerun.viewer import check_ports
+
+        check_ports(args.web_port, args.port)
 
 
 def _let_look(stack: ExitStack, console: Console, trainer: Trainer, run_dir: Path, args: TrainArgs) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from humoslope.errors import UserError
 from humoslope.interrupts import die_with_parent
 
 FOLDER = "videos"
@@ -28,14 +27,9 @@ class IntervalVideos:
         run_dir: The run folder.
         every: Iterations between two videos.
         save: Writes a checkpoint of the present weights to a path.
-
-    Raises:
-        UserError: If `every` is not positive.
     """
 
     def __init__(self, run_dir: Path, every: int, save: Callable[[Path], object], console: Console) -> None:
-        if every < 1:
-            raise UserError(f"--video-every is {every}; it must be at least 1, or 0 for no videos.")
         self._folder, self._every, self._save, self._console = run_dir / FOLDER, every, save, console
         self._process: subprocess.Popen[bytes] | None = None
         self._video = Path()

@@ -22,12 +22,11 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humoslope.errors import UserError
 from humoslope.interrupts import die_with_parent
 from humoslope.replay.rerun import colours
 from humoslope.replay.rerun.layout import EYE
 from humoslope.replay.rerun.scene import OVERHEAD
-from humoslope.replay.rerun.viewer import HOST, check_port, program, wait_for_page
+from humoslope.replay.rerun.viewer import HOST, check_ports, program, wait_for_page
 from humoslope.replay.robot import RobotShape
 from humoslope.replay.shapes import Shape, joined, surface
 
@@ -217,12 +216,7 @@ def live_view(env: Env, worlds: int, web_port: int, port: int, title: str) -> It
     Raises:
         UserError: If a port is in use, or the server does not come up.
     """
-    if worlds < 1:
-        raise UserError(f"--watch-worlds is {worlds}; it must be at least 1.")
-    if web_port == port:
-        raise UserError(f"--web-port and --port are both {port}; they must differ.")
-    for option, number in (("web-port", web_port), ("port", port)):
-        check_port(option, number)
+    check_ports(web_port, port)
     source = f"rerun+http://{HOST}:{port}/proxy"
     command = [program(), "--serve-web", "--bind", HOST, "--port", str(port), "--web-viewer-port", str(web_port)]
     with tempfile.TemporaryFile("w+") as said:

@@ -70,10 +70,7 @@ def served(path: Path, web_port: int, port: int) -> Iterator[str]:
     Raises:
         UserError: If a port is in use, or the page does not come up.
     """
-    if web_port == port:
-        raise UserError(f"--web-port and --port are both {port}; they must differ.")
-    for option, number in (("web-port", web_port), ("port", port)):
-        check_port(option, number)
+    check_ports(web_port, port)
     with temporary_folder() as folder, tempfile.TemporaryFile("w+") as said:
         shutil.copyfile(path, folder / SERVED)
         files = ThreadingHTTPServer((HOST, port), partial(_Files, f"http://{HOST}:{web_port}", directory=folder))
@@ -105,6 +102,18 @@ class _Files(SimpleHTTPRequestHandler):
 
     def log_message(self, format: str, *args: object) -> None:
         """Does not log requests."""
+
+
+def check_ports(web_port: int, port: int) -> None:
+    """Checks that both ports can be listened on.
+
+    Raises:
+        UserError: If they cannot.
+    """
+    if web_port == port:
+        raise UserError(f"--web-port and --port are both {port}; they must differ.")
+    for option, number in (("web-port", web_port), ("port", port)):
+        check_port(option, number)
 
 
 def check_port(option: str, number: int) -> None:
