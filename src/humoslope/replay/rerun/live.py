@@ -9,7 +9,7 @@ from __future__ import annotations
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,18 +63,21 @@ class LiveView:
         env: The environment.
         recording: Where everything is sent.
         worlds: Number of envs that are shown, spread over the columns of the terrain.
-        is_watched: Says whether somebody looks.
+        is_watched: Says at a time, s, whether somebody looks.
 
     Attributes:
+        is_watched: Says whether somebody looks.
         sent: Number of pictures that were sent.
 
     Raises:
         UserError: If the robot's URDF cannot be read.
     """
 
-    def __init__(self, env: Env, recording: rr.RecordingStream, worlds: int, is_watched: Watched) -> None:
+    def __init__(
+        self, env: Env, recording: rr.RecordingStream, worlds: int, is_watched: Callable[[float], bool]
+    ) -> None:
         count = min(worlds, env.num_envs)
-        self._env, self._recording, self._is_watched = env, recording, is_watched
+        self._env, self._recording, self.is_watched = env, recording, is_watched
         self._chosen = torch.arange(count, device=env.device) * env.num_envs // count
         self._robot = RobotShape(env.robot.urdf.read_text(encoding="utf-8"))
         self._began = self._last = time.monotonic()
@@ -88,7 +91,7 @@ class LiveView:
         now = time.monotonic()
         if now - self._last < 1.0 / RATE_HZ or self._spent > SHARE * (now - self._began):
             return
-        if not self._is_watched(now):
+        if not self.is_watched(now):
             self._began, self._spent = now, 0.0  # what was not spent before is not to be made up for
             return
         self._last = now
