@@ -16,7 +16,7 @@ from typing import Any
 from websockets.sync.client import connect
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-PATIENCE_S = 120.0
+PATIENCE_S = 300.0
 
 
 @contextmanager
@@ -40,7 +40,7 @@ def page(folder: Path) -> Iterator[Callable[..., dict[str, Any]]]:
     command = [CHROMIUM, *flags, f"--remote-debugging-port={port}", "about:blank"]
     browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        with connect(_address(port), max_size=None) as devtools:
+        with connect(_address(port), max_size=None, open_timeout=PATIENCE_S, ping_interval=None) as devtools:
             yield lambda method, **params: _call(devtools, method, params)
     finally:
         browser.terminate()
