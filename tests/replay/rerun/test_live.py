@@ -162,6 +162,9 @@ def test_a_page_is_served_and_gone_with_the_training(env: ManagerBasedRlEnv) -> 
         with urllib.request.urlopen(address, timeout=PATIENCE_S) as page:
             assert b"Rerun" in page.read()
         view.after_iteration(0, {"Train/reward": 1.0})
+        assert isinstance(view.is_watched, Watched)
+        if sys.platform.startswith("linux"):
+            assert view.is_watched.connections() <= 1  # no more than its own, or somebody would be taken to look
         view.close(finished=True)
     for number in (web_port, port):
         check_port("port", number)

@@ -89,10 +89,12 @@ class LiveView:
         """Sends a picture if somebody looks, and it is time for one."""
         self._step += 1
         now = time.monotonic()
-        if now - self._last < 1.0 / RATE_HZ or self._spent > SHARE * (now - self._began):
+        if now - self._last < 1.0 / RATE_HZ:
             return
         if not self.is_watched(now):
             self._began, self._spent = now, 0.0  # what was not spent before is not to be made up for
+            return
+        if self._spent > SHARE * (now - self._began):
             return
         self._last = now
         self._send()
