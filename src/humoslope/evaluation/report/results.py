@@ -194,7 +194,7 @@ def to_report(
                 diagnosis=diagnose(recorded, directions),
                 profile=profile(recorded),
                 reached=_reached(outcomes, there, length),
-                causes=None if causes is None else count([causes[i] for i in np.flatnonzero(there)]),
+                causes=None if causes is None else count([causes[i] for i in np.flatnonzero(there).tolist()]),
             )
         )
         for t, tier in enumerate(tiers):
