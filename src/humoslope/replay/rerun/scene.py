@@ -152,6 +152,8 @@ class Scene:
             end = np.minimum(begin + MARKED_S, np.append(begin[1:] - 1e-3, np.inf))
             moments = np.stack([begin, end], axis=1).ravel()
             there = np.tile([1, 0], len(rows)).astype(np.int32)
+            within = (there == 1) | (moments < columns.time[-1])  # nothing comes after the end of the walk
+            moments, there = moments[within], there[within]
             steps = np.rint(moments / dt).astype(np.int64)
             times = [rr.TimeColumn(TIME, duration=moments), rr.TimeColumn(STEP, sequence=steps)]
             path = f"{self._prefix}world/failure/{kind}"
