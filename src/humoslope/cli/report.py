@@ -68,4 +68,4 @@ def _draw_sheet(rollout: Path, path: Path) -> None:
     from humoslope.replay.film.video import VideoCfg, write_sheet
     from humoslope.replay.rollout import load_rollout
 
-    write_sheet(load_rollout(rollout), path, VideoCfg(**SHEET, workers=1))
+    write_sheet(load_rollout(rollout), path, VideoCfg(width=SHEET[0], height=SHEET[1], workers=1))

@@ -105,7 +105,7 @@ class LiveView:
         self._recording.set_time(TIME, duration=self._step * self._env.step_dt)
         for title, tag in CURVES.items():
             if tag in values:
-                self._recording.log(f"curves/{title}", rr.Scalars(values[tag]))
+                self._recording.log(_place(title), rr.Scalars(values[tag]))
 
     def close(self, finished: bool) -> None:
         """Says that nothing more will come."""
@@ -125,7 +125,7 @@ class LiveView:
             )
             for i, env in enumerate(self._chosen.tolist()[:count])
         ]
-        curves = [rrb.TimeSeriesView(origin=f"/curves/{title}", name=title) for title in CURVES]
+        curves = [rrb.TimeSeriesView(origin=f"/{_place(title)}", name=title) for title in CURVES]
         panel = rrb.TimePanel(timeline=TIME, state="collapsed", play_state="following")
         whole = rrb.Horizontal(rrb.Grid(*views), rrb.Vertical(*curves), column_shares=[3, 1])
         self._recording.send_blueprint(rrb.Blueprint(whole, panel, collapse_panels=True))
@@ -245,6 +245,11 @@ def live_view(env: Env, worlds: int, web_port: int, port: int, title: str) -> It
         finally:
             server.terminate()
             server.wait()
+
+
+def _place(title: str) -> str:
+    """Entity of a curve."""
+    return f"curves/{title.replace(' ', '_')}"
 
 
 def _mesh(shape: Shape) -> rr.Mesh3D:

@@ -27,8 +27,8 @@ from humoslope.evaluation.report.tables import ablation_table, causes_table, cel
 
 LONGEST = 90
 """Largest number of characters of a value in the configuration's table."""
-SHEET = {"width": 480, "height": 270}
-"""Size of a picture of the contact sheet, pixels."""
+SHEET = (480, 270)
+"""Width and height of a picture of the contact sheet, pixels."""
 
 
 @dataclass(frozen=True)
