@@ -27,6 +27,8 @@ from humoslope.evaluation.report.tables import ablation_table, causes_table, cel
 
 LONGEST = 90
 """Largest number of characters of a value in the configuration's table."""
+FOLDED = 16
+"""Largest number of fields that are not folded away."""
 SHEET = (480, 270)
 """Width and height of a picture of the contact sheet, pixels."""
 
@@ -41,12 +43,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with remarks below it."""
+    """A table with remarks below it, folded away below `fold` if that is not empty."""
 
     head: list[str]
     rows: list[Row]
     title: str = ""
     notes: Sequence[str] = ()
+    fold: str = ""
     kind: ClassVar[str] = "table"
 
 
@@ -189,7 +192,8 @@ def _configuration(policies: Sequence[Policy]) -> Section:
             ["field", "the task's default", *(policy.name for policy in policies)],
             [Row([path, *(_value(value) for value in values)]) for path, values in fields.items()],
             title="What differs from the task as it is today, or between the policies",
-            notes=[f"The default is that of {policies[0].origin.task}, without a preset; {len(fields)} fields differ."],
+            notes=[f"The default is that of {policies[0].origin.task}, without a preset."],
+            fold=f"{len(fields)} fields" if len(fields) > FOLDED else "",
         )
     )
     return section

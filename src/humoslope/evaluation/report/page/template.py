@@ -42,6 +42,7 @@ summary { cursor: pointer; color: var(--blue); }
 {% for block in section.blocks %}
 {% if block.kind == "table" %}
 {% if block.title %}<h3>{{ block.title }}</h3>{% endif %}
+{% if block.fold %}<details><summary>{{ block.fold }}</summary>{% endif %}
 <div class="scroll"><table>
 <thead><tr>{% for cell in block.head %}<th>{{ cell }}</th>{% endfor %}</tr></thead>
 <tbody>
@@ -49,6 +50,7 @@ summary { cursor: pointer; color: var(--blue); }
 {%- for cell in row.cells %}<td>{{ cell }}</td>{% endfor %}</tr>
 {% endfor %}</tbody>
 </table></div>
+{% if block.fold %}</details>{% endif %}
 {% for note in block.notes %}<p class="note">{{ note }}</p>{% endfor %}
 {% elif block.kind == "picture" %}
 <figure><img src="{{ block.uri }}" alt="{{ block.caption }}"><figcaption>{{ block.caption }}</figcaption></figure>
