@@ -26,7 +26,7 @@ def folder(tmp_path):
         ("1", "paper: Ours"),
         ("2", "paper: Full"),
         ("diagnostics", "torso pitch"),
-        ("causes", "before causes were named"),
+        ("causes", "Why trials failed"),
     ],
 )
 def test_a_table_is_printed_and_written(folder, tmp_path, capsys, which, shown):
