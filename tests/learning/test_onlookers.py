@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import socket
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,8 +17,10 @@ import rerun as rr
 import torch
 from rich.console import Console
 
-from humoslope.cli import interval_video
+from humoslope.cli import interval_video, main
+from humoslope.cli.train import TrainArgs, _check_looking
 from humoslope.env import ManagerBasedRlEnv
+from humoslope.errors import UserError
 from humoslope.learning import checkpoint, videos
 from humoslope.learning.trainer import Trainer
 from humoslope.learning.videos import IntervalVideos
@@ -56,6 +59,30 @@ def test_a_training_that_is_watched_and_filmed_is_the_same_to_the_last_bit(
     assert "Live view: http://somewhere" in said
     assert "iteration_2.mp4" in said
     assert "watch" not in (run / "starts" / "1" / "options.txt").read_text()  # it is not an option of the run
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"watch": True, "watch_worlds": 0}, "--watch-worlds is 0; it must be at least 1"),
+        ({"watch": True, "port": 9090}, "both 9090; they must differ"),
+        ({"video_every": -1}, "--video-every is -1; it must be 0 or more"),
+    ],
+)
+def test_an_impossible_wish_is_said_before_anything_is_built(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        _check_looking(TrainArgs(**options))
+
+
+def test_a_port_in_use_is_said_in_one_sentence_and_leaves_no_run(
+    task: str, tiny: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        run = tmp_path / "run"
+        assert main(["train", task, "--run-dir", str(run), *tiny, "--watch", "--web-port", port]) == 2
+    assert f"port {port} cannot be used" in capsys.readouterr().err
+    assert not run.exists()
 
 
 def test_an_onlooker_that_fails_is_dismissed() -> None:
