@@ -122,7 +122,7 @@ def test_sending_takes_no_more_than_its_share_of_time_however_slow_it_is(
         clock.spent += clock.each
         view.sent += 1
 
-    monkeypatch.setattr(live, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(live, "time", SimpleNamespace(monotonic=lambda: clock.now, thread_time=lambda: clock.now))
     monkeypatch.setattr(LiveView, "_send", send)
     looks = [True]
     view = to_file(env, tmp_path / "live.rrd", lambda now: looks[0])

@@ -1,7 +1,8 @@
 """Live view of a training in rerun: a few robots on their ground, what they are commanded and do, and the curves.
 
 The viewer's server is a process of its own. Training sends to it only while somebody is connected to it, and never
-spends more than a share of its time on sending; while nobody looks, it only looks for somebody once a second.
+spends more than a share of its processor time on sending; while nobody looks, it only looks for somebody now and then.
+Processor time is what counts, so that a machine that others use does not make a view dear.
 """
 
 from __future__ import annotations
@@ -36,9 +37,10 @@ if TYPE_CHECKING:
 RATE_HZ = 10.0
 """Pictures per second of wall-clock time while somebody looks."""
 SHARE = 0.04
-"""Largest share of the time of training that is spent on sending, while somebody looks."""
+"""Largest share of the processor time of training that is spent on sending, while somebody looks."""
 LOOK_S = 1.0
-"""Time between two looks for somebody, s."""
+"""Processor time between two looks for somebody, s. A look takes some milliseconds, as Linux goes through all its
+connections for it."""
 MEMORY = "256MB"
 """What the server keeps for those who come later; the oldest pictures are dropped."""
 CURVES = {
@@ -50,8 +52,8 @@ CURVES = {
     "episode length": "Train/episode_length",
 }
 """Curves that are shown, by their titles."""
-TCP = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
-"""Where Linux lists connections."""
+TCP = Path("/proc/net/tcp")
+"""Where Linux lists connections; the server listens on an address of the fourth version alone."""
 ESTABLISHED = "01"
 TIME = "training"
 
@@ -63,7 +65,7 @@ class LiveView:
         env: The environment.
         recording: Where everything is sent.
         worlds: Number of envs that are shown, spread over the columns of the terrain.
-        is_watched: Says at a time, s, whether somebody looks.
+        is_watched: Says at a processor time, s, whether somebody looks.
 
     Attributes:
         is_watched: Says whether somebody looks.
@@ -80,7 +82,7 @@ class LiveView:
         self._env, self._recording, self.is_watched = env, recording, is_watched
         self._chosen = torch.arange(count, device=env.device) * env.num_envs // count
         self._robot = RobotShape(env.robot.urdf.read_text(encoding="utf-8"))
-        self._began = self._last = time.monotonic()
+        self._last, self._began = time.monotonic(), time.thread_time()
         self._spent, self._step, self.sent = 0.0, 0, 0
         self._origins: NDArray[np.float32] | None = None
         self._describe(count)
@@ -91,14 +93,15 @@ class LiveView:
         now = time.monotonic()
         if now - self._last < 1.0 / RATE_HZ:
             return
-        if not self.is_watched(now):
-            self._began, self._spent = now, 0.0  # what was not spent before is not to be made up for
+        begin = time.thread_time()
+        if not self.is_watched(begin):
+            self._began, self._spent = begin, 0.0  # what was not spent before is not to be made up for
             return
-        if self._spent > SHARE * (now - self._began):
+        if self._spent > SHARE * (begin - self._began):
             return
         self._last = now
         self._send()
-        self._spent += time.monotonic() - now
+        self._spent += time.thread_time() - begin
 
     def after_iteration(self, iteration: int, values: dict[str, float]) -> None:
         """Sends a point of each curve. They are few, and who comes later sees them from the beginning."""
@@ -192,20 +195,18 @@ class Watched:
         self._looked, self._watched = -LOOK_S, False
 
     def __call__(self, now: float) -> bool:
-        """True if somebody looked at the last look, `now` in s."""
+        """True if somebody looked at the last look; `now` is the processor time, s."""
         if now - self._looked >= LOOK_S:
             self._looked = now
-            self._watched = self.connections() > self._own if TCP[0].exists() else True
+            self._watched = self.connections() > self._own if TCP.exists() else True
         return self._watched
 
     def connections(self) -> int:
         """Connections to the port at present."""
-        found = 0
-        for path in TCP:
-            if path.exists():
-                rows = [line.split()[1:4] for line in path.read_text(encoding="ascii").splitlines()[1:]]
-                found += sum(local.endswith(self._port) and state == ESTABLISHED for local, _, state in rows)
-        return found
+        if not TCP.exists():
+            return 0
+        rows = [line.split()[1:4] for line in TCP.read_text(encoding="ascii").splitlines()[1:]]
+        return sum(local.endswith(self._port) and state == ESTABLISHED for local, _, state in rows)
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from humoslope.registry import TaskCfg
 from humoslope.replay.rerun.live import LiveView, live_view
 from humoslope.replay.rerun.viewer import HOST
 
-ALONE, UNSEEN, SEEN = "without --watch", "with it, nobody looks", "with it, as if somebody looked"
+ALONE, UNSEEN, SEEN = "without", "nobody looks", "somebody looks"
 WORLDS = 4
 
 
@@ -117,11 +117,11 @@ def cost_table(results: list[Cost]) -> Table:
     """The figures of each number of envs."""
     table = Table(title="Cost of a live view", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     table.caption = (
-        "medians over rounds of an iteration; on a machine that others use go by the view's own processor time, "
-        "that of its calls and of its threads"
+        "medians over rounds of an iteration; on a machine that others use go by the view's own processor time: that "
+        "of its calls and of its threads"
     )
-    for column in ("envs", "", "wall s", "more", "processor s", "more", "view's own s", "share", "pictures"):
-        table.add_column(column, justify="left" if not column else "right", no_wrap=True)
+    for column in ("envs", "--watch", "wall s", "more", "CPU s", "more", "own CPU s", "share", "pictures"):
+        table.add_column(column, justify="left" if column == "--watch" else "right", no_wrap=True)
     for r in results:
         for name in (ALONE, UNSEEN, SEEN):
             more = ["", ""] if name == ALONE else [f"{r.overhead(name, m):+.1%}" for m in (r.wall_s, r.cpu_s)]
