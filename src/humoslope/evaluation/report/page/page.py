@@ -43,13 +43,15 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with remarks below it, folded away below `fold` if that is not empty."""
+    """A table with remarks below it, folded away below `fold` if that is not empty; no line of a `tight` one is
+    broken."""
 
     head: list[str]
     rows: list[Row]
     title: str = ""
     notes: Sequence[str] = ()
     fold: str = ""
+    tight: bool = False
     kind: ClassVar[str] = "table"
 
 
@@ -279,7 +281,7 @@ def _track(policies: Sequence[Policy], paper: Paper, grade: float) -> list[Secti
         section.blocks.append(_sheet(main_table(results, paper)))
     if walked:
         section.blocks += [_sheet(ablation_table(walked, paper, grade)), _sheet(causes_table(walked))]
-        section.blocks.append(_sheet(cells_table(walked)))
+        section.blocks.append(_sheet(cells_table(walked), "every metric"))
         figures.blocks += [
             Picture(picture, f"{name.replace('_', ' ').capitalize()} on the held-out track.")
             for name, picture in pictures.of_results(walked, grade).items()
@@ -308,10 +310,10 @@ def _result(policy: Policy) -> Result | None:
     return replace(result, limit=of_sweep.limit, swept=True, beyond=of_sweep.beyond)
 
 
-def _sheet(sheet: Sheet) -> Table:
+def _sheet(sheet: Sheet, fold: str = "") -> Table:
     head = ["method", "training", *(column.title for column in sheet.columns)]
     rows = [Row(texts, row.source != "ours") for texts, row in zip(sheet.texts(), sheet.rows, strict=True)]
-    return Table(head, rows, title=sheet.title, notes=sheet.notes)
+    return Table(head, rows, title=sheet.title, notes=sheet.notes, fold=fold, tight=True)
 
 
 def _walks(policies: Sequence[Policy], sheet: Callable[[Path, Path], object] | None) -> Section:

@@ -64,7 +64,8 @@ def of_curves(runs: Mapping[str, Mapping[str, Curve]]) -> str | None:
             axis.set_ylim(panel.low, panel.high)
         axis.set_title(panel.title, fontsize=9, color=INK, loc="left")
         dress(axis)
-    figure.supxlabel("environment steps, million", fontsize=9, color=INK)
+    for axis in axes[max(0, len(panels) - columns) : len(panels)]:
+        axis.set_xlabel("environment steps, million", fontsize=8, color=INK)
     return _finish(figure, axes[0], len(runs))
 
 

@@ -21,6 +21,7 @@ nav a { margin-right: 1rem; color: var(--blue); text-decoration: none; }
 table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .22rem .7rem .22rem 0; border-bottom: 1px solid var(--line); text-align: left; vertical-align: top; }
 th { font-weight: 600; }
+.tight td, .tight th { white-space: nowrap; }
 tr.aside td { color: var(--faint); font-style: italic; }
 figure { margin: 1rem 0; }
 img { max-width: 100%; height: auto; }
@@ -43,7 +44,7 @@ summary { cursor: pointer; color: var(--blue); }
 {% if block.kind == "table" %}
 {% if block.title %}<h3>{{ block.title }}</h3>{% endif %}
 {% if block.fold %}<details><summary>{{ block.fold }}</summary>{% endif %}
-<div class="scroll"><table>
+<div class="scroll"><table{% if block.tight %} class="tight"{% endif %}>
 <thead><tr>{% for cell in block.head %}<th>{{ cell }}</th>{% endfor %}</tr></thead>
 <tbody>
 {% for row in block.rows %}<tr{% if row.aside %} class="aside"{% endif %}>
