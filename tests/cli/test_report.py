@@ -196,7 +196,8 @@ def test_results_elsewhere_belong_to_a_checkpoint_by_its_hash_and_runs_are_compa
     elsewhere, other = tmp_path / "results", tmp_path / "other"
     elsewhere.mkdir()
     other.mkdir()
-    measure(run, elsewhere)
+    sha256 = hashlib.sha256((run / "model_0.pt").read_bytes()).hexdigest()
+    made_up.write(elsewhere, "anything", ramps(sha256))
     state = checkpoint.load(run / "model_0.pt")
     state["config"]["env"]["seed"] = 77
     checkpoint.save(other / "model_3.pt", state | {"iteration": 3})

@@ -66,6 +66,7 @@ def of_curves(runs: Mapping[str, Mapping[str, Curve]]) -> str | None:
         dress(axis)
     for axis in axes[max(0, len(panels) - columns) : len(panels)]:
         axis.set_xlabel("environment steps, million", fontsize=8, color=INK)
+        axis.tick_params(labelbottom=True)  # also above an empty place
     return _finish(figure, axes[0], len(runs))
 
 
