@@ -9,7 +9,7 @@ need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  export play terrain bench check-device campaign reproduce recipe drills test lint types check format clean
+  dashboard report export play terrain bench check-device campaign reproduce recipe drills test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -50,6 +50,12 @@ figures: $(STAMP) ## Draw the RESULTS of evaluations to experiments/figures
 
 curve: $(STAMP) ## Draw the learning curve of RUN, a run folder
 	$(BIN)/humoslope curve $(call need,RUN,logs/...) $(ARGS)
+
+dashboard: $(STAMP) ## Show the curves of RUN (by default the newest one) in the terminal, as they grow
+	$(BIN)/humoslope dashboard $(RUN) $(ARGS)
+
+report: $(STAMP) ## Write one HTML page of RUNS, run folders or checkpoints: what is known of them, and what is missing
+	$(BIN)/humoslope report $(call need,RUNS,"logs/a logs/b") $(ARGS)
 
 compare: $(STAMP) ## Compare RUNS, run folders, after equally many environment steps
 	$(BIN)/humoslope compare $(call need,RUNS,"logs/a logs/b") $(ARGS)

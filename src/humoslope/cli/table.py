@@ -15,7 +15,13 @@ from humoslope.evaluation.report.paper import Paper, read_paper
 from humoslope.evaluation.report.results import Method, Result, read_methods
 from humoslope.evaluation.report.seed_tables import ablation_over_seeds, differences, main_over_seeds
 from humoslope.evaluation.report.table import Sheet
-from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
+from humoslope.evaluation.report.tables import (
+    ablation_table,
+    causes_table,
+    cells_table,
+    diagnostics_table,
+    main_table,
+)
 from humoslope.files import check_place, write_text
 
 
@@ -25,8 +31,8 @@ class Options:
 
     Attributes:
         which: Table to print. "1": success, distance and time at each grade; "2": efficiency, stability, posture and
-            load at one grade; "diagnostics": posture and load uphill, on the flat and downhill; "cells": every metric
-            by grade and friction.
+            load at one grade; "diagnostics": posture and load uphill, on the flat and downhill; "causes": why trials
+            failed, at each grade; "cells": every metric by grade and friction.
         results: JSON files of `humoslope evaluate`, as FILE or NAME=FILE, or folders of them. A row of the paper is put
             below a method by its task, or by the name given here. The file of a sweep adds the maximal grade. Several
             results of one name are of one method with several seeds: tables 1 and 2 then have intervals over seeds and
@@ -36,7 +42,7 @@ class Options:
         out: Path without ending of files for the table too, as .md, .csv and .json.
     """
 
-    which: tyro.conf.Positional[Literal["1", "2", "diagnostics", "cells"]]
+    which: tyro.conf.Positional[Literal["1", "2", "diagnostics", "causes", "cells"]]
     results: tyro.conf.Positional[tuple[str, ...]]
     grade: float = 20.0
     against: str = ""
@@ -95,4 +101,6 @@ def _sheet(options: Options, results: list[Result], paper: Paper) -> Sheet:
         return main_table(results, paper)
     if options.which == "2":
         return ablation_table(results, paper, options.grade)
-    return diagnostics_table(results, options.grade) if options.which == "diagnostics" else cells_table(results)
+    if options.which == "diagnostics":
+        return diagnostics_table(results, options.grade)
+    return causes_table(results) if options.which == "causes" else cells_table(results)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from humoslope.errors import UserError
+from humoslope.evaluation.causes import count
 from humoslope.evaluation.track.metrics import BIN, Figure
 from humoslope.evaluation.track.summary import (
     Diagnosis,
@@ -60,6 +61,7 @@ class Grade:
         reached: Number of trials that came at least to each multiple of the bin, from 0 on.
         trials: Values of single trials by the names of `EACH`, as numbers in a text; results of older versions have
             none.
+        causes: Number of failed trials by their first cause; None in results of before causes were named.
     """
 
     grade: float
@@ -67,6 +69,7 @@ class Grade:
     diagnosis: dict[str, Diagnosis | None]
     profile: dict[str, list[float | None]]
     reached: list[int]
+    causes: dict[str, int] | None = None
     trials: dict[str, str] = field(default_factory=dict)
 
     def each(self, name: str) -> Array | None:
@@ -188,6 +191,7 @@ def to_report(
     segments: Sequence[Segment],
     speed: float,
     mass: float,
+    causes: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Finished trials as the JSON types that tables and figures are made from. Conditions without a trial are left out.
 
@@ -197,6 +201,7 @@ def to_report(
         segments: Segments of the track.
         speed: Commanded speed, m/s.
         mass: Mass of the robot, kg.
+        causes: First cause of each trial, "" for a success.
     """
     length = sum(segment.length for segment in segments)
     directions = [segment.direction for segment in segments]
@@ -218,6 +223,7 @@ def to_report(
                 profile=profile(recorded),
                 reached=_reached(outcomes, there, length),
                 trials=_texts(trial_values(outcomes, there, mass, speed)),
+                causes=None if causes is None else count([causes[i] for i in np.flatnonzero(there).tolist()]),
             )
         )
         for t, tier in enumerate(tiers):
@@ -438,6 +444,10 @@ def _believable(result: Result) -> Result:
     """
     if not isinstance(result.finished, int) or not isinstance(result.trials, int) or result.finished > result.trials:
         raise ValueError("finished")
+    for grade in result.grades:
+        counts = {} if grade.causes is None else grade.causes
+        if not all(isinstance(n, int) and n >= 0 for n in counts.values()):
+            raise ValueError("causes")
     for summary in [g.summary for g in result.grades] + [c.summary for c in result.cells]:
         for figure in summary.values():
             numbers = vars(figure).values() if isinstance(figure, Proportion | Average) else (figure,)
@@ -459,8 +469,8 @@ def _training(checkpoint: Mapping[str, Any]) -> Training:
 
 def _grade(report: Mapping[str, Any]) -> Grade:
     diagnosis = {name: None if d is None else Diagnosis(**d) for name, d in report["diagnosis"].items()}
-    summary, trials = _summary(report["summary"]), report.get("trials", {})
-    grade = Grade(report["grade"], summary, diagnosis, report["profile"], report["reached"], trials)
+    summary, trials, causes = _summary(report["summary"]), report.get("trials", {}), report.get("causes")
+    grade = Grade(report["grade"], summary, diagnosis, report["profile"], report["reached"], causes, trials)
     totals = {figure.total for figure in summary.values() if isinstance(figure, Proportion)}
     if not all(len(grade.each(name)) in totals for name in trials):  # type: ignore[arg-type]
         raise ValueError("trials")

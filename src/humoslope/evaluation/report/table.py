@@ -124,6 +124,17 @@ class Sheet:
             lines.append(_markdown_row([f"*{cell}*" if row.source != "ours" and cell else cell for cell in shown]))
         return "\n".join([*lines, "", *(f"{note}  " for note in self.notes)]).rstrip() + "\n"
 
+    def texts(self) -> list[list[str]]:
+        """The cells of every row as text: name, how it was trained, and a figure for each column."""
+        return [
+            [
+                row.title,
+                row.note,
+                *(_lines(v, c).replace("\n", " ") for v, c in zip(row.values, self.columns, strict=True)),
+            ]
+            for row in self.rows
+        ]
+
     def to_csv(self) -> str:
         """The table as CSV: full precision with bounds, empty where there is no figure, proportions in percent."""
         out = io.StringIO()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from humoslope.evaluation.causes import CAUSES, MEANING
 from humoslope.evaluation.report.paper import Paper, PaperRow
 from humoslope.evaluation.report.results import Grade, Result, Training, TrialSetup
 from humoslope.evaluation.report.table import Column, Row, Sheet, Value
 from humoslope.evaluation.track.metrics import GROUPS, REPORTED
 from humoslope.evaluation.track.summary import DIRECTIONS, Summary
+from humoslope.statistics import Proportion
 
 GRADES = (0.0, 10.0, 20.0, 30.0)
 """Degrees; the paper's four nominal grades, shown if there are no results."""
@@ -175,6 +177,35 @@ def diagnostics_table(results: Sequence[Result], grade: float = 20.0) -> Sheet:
             "Pitch joints of both legs, all friction tiers, all trials. torque: mean |torque| of one joint.",
             "work +, -: share of each in the positive and in the negative work of the three.",
             *partial_note(results),
+        ),
+    )
+
+
+def causes_table(results: Sequence[Result]) -> Sheet:
+    """The failed trials at each grade by the first thing that went wrong."""
+    shown = [g.causes for result in results for g in result.grades if g.causes is not None]
+    names = [name for name in CAUSES if any(name in causes for causes in shown)]
+    rows = []
+    for result in results:
+        for i, at in enumerate(result.grades):
+            rate = at.summary["success"]
+            assert isinstance(rate, Proportion)
+            counts = [None if at.causes is None else at.causes.get(name, 0) for name in names]
+            values = (at.grade, rate.total, rate.total - rate.count, *counts)
+            rows.append(Row(result.name, _training(result), values, partial=_partial(result), more=i > 0))
+    return Sheet(
+        title="Why trials failed: the first cause, by grade",
+        columns=(
+            Column("grade", "°", 0),
+            Column("trials", digits=0),
+            Column("failed", digits=0),
+            *(Column(name, digits=0) for name in names),
+        ),
+        rows=tuple(rows),
+        notes=(
+            *(f"{name}: {MEANING[name]}." for name in names),
+            *(["-: the trials were evaluated before causes were named."] if len(shown) < len(rows) else []),
+            *_partial_note(results),
         ),
     )
 
