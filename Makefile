@@ -9,7 +9,7 @@ need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  export play terrain bench check-device reproduce recipe drills test lint types check format clean
+  export play terrain bench check-device reproduce recipe drills test lint types docs check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -101,6 +101,12 @@ lint: $(STAMP) ## Check style and format
 types: $(STAMP) ## Check types
 	$(BIN)/mypy
 
+docs: $(STAMP) ## Build the pages to docs/_build/html; a warning is an error
+	@$(BIN)/python -c 'import myst_parser, sphinx_book_theme' 2>/dev/null || \
+	  { echo "The pages need more packages: $(BIN)/pip install -c constraints.txt -e '.[docs]'" >&2; exit 1; }
+	$(BIN)/python -m sphinx -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html $(ARGS)
+	@echo "wrote docs/_build/html/index.html"
+
 check: lint types test ## Everything that must pass before a commit
 
 format: $(STAMP) ## Put code into its format
@@ -108,5 +114,5 @@ format: $(STAMP) ## Put code into its format
 	$(BIN)/ruff format .
 
 clean: ## Remove caches and build leftovers; .venv and logs stay
-	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage MUJOCO_LOG.TXT build src/*.egg-info
+	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage MUJOCO_LOG.TXT build docs/_build src/*.egg-info
 	find src robots terrains tasks tests -name __pycache__ -type d -exec rm -rf {} +
