@@ -3,6 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+DOCS_STAMP := .venv/.docs
 RESULTS ?= experiments/results/heldout experiments/results/sweep
 ROLLOUT ?= experiments/rollouts/stage2_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
@@ -22,6 +23,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "Installing into .venv; the first time takes some minutes."
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+$(DOCS_STAMP): $(STAMP)
+	@$(BIN)/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
 
 train-stage1: $(STAMP) ## Train Stage I; ARGS="--resume latest" goes on with the newest run
@@ -101,9 +106,7 @@ lint: $(STAMP) ## Check style and format
 types: $(STAMP) ## Check types
 	$(BIN)/mypy
 
-docs: $(STAMP) ## Build the pages to docs/_build/html; a warning is an error
-	@$(BIN)/python -c 'import myst_parser, sphinx_book_theme' 2>/dev/null || \
-	  { echo "The pages need more packages: $(BIN)/pip install -c constraints.txt -e '.[docs]'" >&2; exit 1; }
+docs: $(DOCS_STAMP) ## Build the pages to docs/_build/html; a warning is an error
 	$(BIN)/python -m sphinx -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html $(ARGS)
 	@echo "wrote docs/_build/html/index.html"
 

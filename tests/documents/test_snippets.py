@@ -142,7 +142,7 @@ def check_humoslope(arguments: list[str]) -> None:
 def check_make(words: list[str]) -> None:
     """Asks make what it would do, and looks at that."""
     done = subprocess.run(
-        ["make", "-n", "-o", ".venv/.installed", *words], cwd=ROOT, capture_output=True, text=True, check=False
+        ["make", "-n", "-o", ".venv/.installed", "-o", ".venv/.docs", *words], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     for line in done.stdout.replace("\\\n", " ").splitlines():
