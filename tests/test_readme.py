@@ -68,7 +68,9 @@ def test_the_readme_is_read_in_five_minutes():
 
 
 def test_the_readme_begins_with_what_it_is_a_moving_picture_and_the_two_commands():
-    places = [README.index(mark) for mark in ("# HumoSlope", ".webp)", "make train-stage1", "make test", "|*paper: Ours*|")]
+    places = [
+        README.index(mark) for mark in ("# HumoSlope", ".webp)", "make train-stage1", "make test", "|*paper: Ours*|")
+    ]
     assert places == sorted(places)
 
 

@@ -6,7 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache, wraps
 from importlib import import_module
 from pathlib import Path
@@ -62,13 +62,12 @@ def name_of(page: Path) -> str:
 
 
 @pytest.fixture
-def _registries(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+def _registries(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """What a page registers is forgotten after it, and what it writes lies in a folder of its own."""
     monkeypatch.setattr(registry, "_tasks", dict(registry._tasks))
     monkeypatch.setattr(terrains, "_REGISTRY", dict(terrains._REGISTRY))
     monkeypatch.setattr(networks, "_NETWORKS", dict(networks._NETWORKS))
     monkeypatch.chdir(tmp_path)
-    yield
 
 
 @pytest.mark.usefixtures("_registries")
@@ -142,7 +141,11 @@ def check_humoslope(arguments: list[str]) -> None:
 def check_make(words: list[str]) -> None:
     """Asks make what it would do, and looks at that."""
     done = subprocess.run(
-        ["make", "-n", "-o", ".venv/.installed", "-o", ".venv/.docs", *words], cwd=ROOT, capture_output=True, text=True, check=False
+        ["make", "-n", "-o", ".venv/.installed", "-o", ".venv/.docs", *words],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     for line in done.stdout.replace("\\\n", " ").splitlines():
