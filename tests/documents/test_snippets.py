@@ -174,3 +174,11 @@ def test_a_command_of_a_page_is_understood(command: str, page: str, monkeypatch:
         assert (Path(sys.executable).parent / program).exists(), f"{page}: there is no {program}"
     else:
         assert program in ELSEWHERE, f"{page}: what is {program}?"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_verbs_and_targets_in_sentences_exist(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    targets = re.findall(r"^([a-z0-9-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for program, word in re.findall(r"`(?:\.venv/bin/)?(make|humoslope) (?:-n )?([a-z0-9-]+)", text):
+        assert word in (targets if program == "make" else VERBS), f"{program} {word}"
