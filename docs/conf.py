@@ -92,14 +92,21 @@ def fill(app: Sphinx, page: str, source: list[str]) -> None:
 
 
 def escape(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """Keeps characters of plain docstrings from being read as markup."""
+    """Keeps characters of plain docstrings from being read as markup, and lists in columns as they are."""
+    paragraphs = "\n".join(lines).split("\n\n")
+    if what == "module":
+        paragraphs = [_as_it_is(text) if re.search(r"\S {2,}\S", text) else text for text in paragraphs]
     lines[:] = [
         "".join(
             part if part.startswith("`") else re.sub(r"(?<=\w)_(?!\w)", r"\\_", re.sub(r"([*|])", r"\\\1", part))
             for part in re.split(r"(`[^`]*`)", line)
         )
-        for line in lines
+        for line in "\n\n".join(paragraphs).split("\n")
     ]
+
+
+def _as_it_is(text: str) -> str:
+    return "::\n\n" + "\n".join(f"    {line}" for line in text.split("\n"))
 
 
 def setup(app: Sphinx) -> None:
