@@ -104,6 +104,8 @@ def escape(app: Sphinx, what: str, name: str, thing: object, options: object, li
         )
         for line in "\n\n".join(paragraphs).split("\n")
     ]
+    if what in ("attribute", "data", "property"):
+        lines.insert(0, "")  # on the first line napoleon would take what stands before a colon for a type
 
 
 def _as_it_is(text: str) -> str:
