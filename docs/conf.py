@@ -43,7 +43,7 @@ suppress_warnings = ["ref.python"]  # types in signatures whose name two modules
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
 WITH_TASK = ("train", "bench", "check")
-"""Verbs whose options are those of a task."""
+"""Verbs that have the fields of a task as options; they are printed for the first one."""
 
 
 def commands() -> str:
@@ -51,8 +51,13 @@ def commands() -> str:
     os.environ["COLUMNS"] = "100"
     sections = [f"{EXIT_CODES.replace(chr(10), ' ')}\n"]
     for verb, line in VERBS.items():
-        shown = ["humoslope", verb, *([TASK] if verb in WITH_TASK else []), "--help"]
-        sections.append(f"## {verb}\n\n{line}\n\n```text\n$ {' '.join(shown)}\n{_help(shown[1:])}\n```\n")
+        shown = ["humoslope", verb, *([TASK, "--preset", "cpu"] if verb in WITH_TASK else []), "--help"]
+        printed, fields = _help(shown[1:]), ""
+        if verb in WITH_TASK and verb != WITH_TASK[0]:
+            printed, _, fields = printed.partition("╭─ env options")
+        more = f"Every field of the task is an option too, as with `{WITH_TASK[0]}`.\n" if fields else ""
+        said = f"```text\n$ {' '.join(shown)}\n{printed.strip()}\n```\n"
+        sections.append(f"## {verb}\n\n{line}\n\n{said}\n{more}")
     return "\n".join(sections)
 
 
