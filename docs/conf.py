@@ -37,6 +37,7 @@ html_theme_options = {"show_toc_level": 2, "use_download_button": False, "use_fu
 
 default_role = "code"  # docstrings write `name` for code
 autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True  # names, not what they are on the machine that builds
 autodoc_typehints = "signature"
 napoleon_use_ivar = True
 suppress_warnings = ["ref.python"]  # types in signatures whose name two modules have
