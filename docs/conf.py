@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import os
 import re
@@ -118,7 +119,32 @@ def _as_it_is(text: str) -> str:
     return "::\n\n" + "\n".join(f"    {line}" for line in text.split("\n"))
 
 
+def shorten(
+    app: Sphinx, what: str, name: str, thing: object, options: object, signature: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """Leaves ranges out of signatures, and the signatures of dataclasses, whose fields are listed below them."""
+    if dataclasses.is_dataclass(thing):
+        return "", None
+    return signature and _without_metadata(signature), returns and _without_metadata(returns)
+
+
+def _without_metadata(signature: str) -> str:
+    """`Annotated[X, ...]` as X."""
+    begin = "Annotated["
+    while begin in signature:
+        start = signature.index(begin)
+        depth, first, place = 0, 0, start + len(begin)
+        while depth or signature[place] != "]":
+            depth += (signature[place] in "[(") - (signature[place] in "])")
+            if not first and not depth and signature[place] == ",":
+                first = place
+            place += 1
+        signature = signature[:start] + signature[start + len(begin) : first] + signature[place + 1 :]
+    return signature
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.connect("autodoc-process-signature", shorten)
     app.connect("source-read", fill)
     app.connect("autodoc-process-docstring", escape, priority=400)  # before napoleon
