@@ -123,7 +123,7 @@ def shorten(
     app: Sphinx, what: str, name: str, thing: object, options: object, signature: str | None, returns: str | None
 ) -> tuple[str | None, str | None]:
     """Leaves ranges out of signatures, and the signatures of dataclasses, whose fields are listed below them."""
-    if dataclasses.is_dataclass(thing):
+    if what == "class" and dataclasses.is_dataclass(thing):
         return "", None
     return signature and _without_metadata(signature), returns and _without_metadata(returns)
 
