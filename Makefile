@@ -3,13 +3,14 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+DOCS_STAMP := .venv/.docs
 RESULTS ?= experiments/results/heldout experiments/results/sweep
 ROLLOUT ?= experiments/rollouts/stage2_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  dashboard report export play terrain bench check-device campaign reproduce recipe drills test lint types check format clean
+  dashboard report export play terrain bench check-device campaign reproduce recipe drills test lint types docs check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -22,6 +23,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "Installing into .venv; the first time takes some minutes."
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+$(DOCS_STAMP): $(STAMP)
+	@$(BIN)/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
 
 train-stage1: $(STAMP) ## Train Stage I; ARGS="--resume latest" goes on with the newest run
@@ -118,6 +123,10 @@ lint: $(STAMP) ## Check style and format
 types: $(STAMP) ## Check types
 	$(BIN)/mypy
 
+docs: $(DOCS_STAMP) ## Build the pages to docs/_build/html; a warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html $(ARGS)
+	@echo "wrote docs/_build/html/index.html"
+
 check: lint types test ## Everything that must pass before a commit
 
 format: $(STAMP) ## Put code into its format
@@ -125,5 +134,5 @@ format: $(STAMP) ## Put code into its format
 	$(BIN)/ruff format .
 
 clean: ## Remove caches and build leftovers; .venv and logs stay
-	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage MUJOCO_LOG.TXT build src/*.egg-info
+	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage MUJOCO_LOG.TXT build docs/_build src/*.egg-info
 	find src robots terrains tasks tests -name __pycache__ -type d -exec rm -rf {} +

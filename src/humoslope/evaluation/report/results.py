@@ -59,9 +59,9 @@ class Grade:
         diagnosis: Posture and load by "up", "flat" and "down"; None where no trial came.
         profile: Values along the track by name, one for each bin of place; None where no trial came.
         reached: Number of trials that came at least to each multiple of the bin, from 0 on.
+        causes: Number of failed trials by their first cause; None in results of before causes were named.
         trials: Values of single trials by the names of `EACH`, as numbers in a text; results of older versions have
             none.
-        causes: Number of failed trials by their first cause; None in results of before causes were named.
     """
 
     grade: float
