@@ -205,7 +205,7 @@ def causes_table(results: Sequence[Result]) -> Sheet:
         notes=(
             *(f"{name}: {MEANING[name]}." for name in names),
             *(["-: the trials were evaluated before causes were named."] if len(shown) < len(rows) else []),
-            *_partial_note(results),
+            *partial_note(results),
         ),
     )
 
