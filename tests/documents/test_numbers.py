@@ -55,6 +55,15 @@ def preset(name: str) -> tuple[str, ...]:
     return str(cfg.env.num_envs), f"{1e3 * sim.timestep:g}", str(sim.decimation), *map(str, agent.hidden_dims)
 
 
+def withdrawal() -> tuple[str, str]:
+    """Falls per second, and percentage of the commanded speed, at which Stage I's harness goes."""
+    own = stage1().env.curriculum.harness.params
+    falls, share = (
+        own.get(name, default(harness.HarnessCurriculum, name)) for name in ("falls_per_second", "speed_share")
+    )
+    return f"{falls:g}", f"{100 * share:g}"
+
+
 CLAIMS: dict[tuple[str, str], Callable[[], tuple[str, ...]]] = {
     ("method.md", r"(\S+) m \(half a foot\), (\S+) N, (\S+) per second"): lambda: (
         f"{regulariser('sigma'):.2f}",
@@ -70,10 +79,9 @@ CLAIMS: dict[tuple[str, str], Callable[[], tuple[str, ...]]] = {
         f"{regulariser('largest_deviation'):g}",
     ),
     ("method.md", r"below (\d+) % of body weight on the feet"): lambda: (f"{100 * regulariser('flight_share'):g}",),
-    ("method.md", r"fall less than (\S+) times per second \*and\* walk more than (\d+) %"): lambda: (
-        f"{default(harness.HarnessCurriculum, 'falls_per_second'):g}",
-        f"{100 * default(harness.HarnessCurriculum, 'speed_share'):g}",
-    ),
+    ("method.md", r"fall less than (\S+) times per second \*and\* walk more than (\d+) %"): withdrawal,
+    ("faq.md", r"fewer than (\S+) falls per second \*and\* more than (\d+) %"): withdrawal,
+    ("guides/laptop.md", r"falls, below (\S+) before .*? rises, over (\d+) %"): withdrawal,
     ("method.md", r"held still for (\d+) iterations"): lambda: (str(stage2().agent.critic_warmup_iterations),),
     ("method.md", r"h_\\mathrm\{nom\}\$ (\S+) m, \S+ \+(\d) cm, \S+ -(\d) cm"): lambda: (
         f"{stage2().env.rewards.com_height.params['nominal']:g}",

@@ -93,8 +93,8 @@ def commands() -> list[tuple[str, str]]:
         for block in blocks(page):
             if block.language == "bash":
                 for line in block.text.replace("\\\n", " ").splitlines():
-                    if line.strip() and not line.lstrip().startswith("#"):
-                        found.setdefault(line.strip(), name_of(page))
+                    if words := shlex.split(line, comments=True):
+                        found.setdefault(shlex.join(words), name_of(page))
     return list(found.items())
 
 
@@ -156,7 +156,7 @@ def check_make(words: list[str]) -> None:
 @pytest.mark.parametrize(("command", "page"), commands(), ids=lambda value: value)
 def test_a_command_of_a_page_is_understood(command: str, page: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tyro, "cli", parsing(tyro.cli))
-    words = shlex.split(command, comments=True)
+    words = shlex.split(command)
     while "=" in words[0]:
         words.pop(0)
     for word in words:
