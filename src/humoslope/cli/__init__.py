@@ -9,9 +9,11 @@ from importlib import import_module
 from types import FrameType
 
 from humoslope.errors import UserError, unknown
+from humoslope.extras import explained_extras
 from humoslope.interrupts import Terminated, handled
 
 VERBS = {
+    "demo": "Show the shipped policy on a slope, live and steerable.",
     "train": "Train a task.",
     "list": "List the registered tasks and terrains.",
     "terrain": "Draw a terrain to a PNG.",
@@ -55,8 +57,8 @@ def main(arguments: list[str] | None = None) -> int:
         verb, rest = arguments[0], arguments[1:]
         if verb not in VERBS:
             raise unknown("verb", verb, VERBS)
-        run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
-        with handled(_stop):
+        with handled(_stop), explained_extras(verb):
+            run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
             run(rest)
     except UserError as error:
         code, said = 2, str(error)
