@@ -1,8 +1,9 @@
 """Puts what lies beside the code of a checkout into the wheel, as the package's folder `content`.
 
-Tasks, terrains and robots are top-level folders of a checkout, and imported as `tasks`, `terrains` and `robots`. Packages
-of such names must not lie beside those of others, so the wheel has them, and the shipped results of trainings, inside of
-`humoslope`, from where `humoslope.shipped` puts them on the import path. An editable installation uses the checkout.
+Tasks, terrains and robots are top-level folders of a checkout, and imported as `tasks`, `terrains` and `robots`.
+Packages of such names must not lie beside those of others, so the wheel has them, and the shipped results of trainings,
+inside of `humoslope`, from where `humoslope.shipped` puts them on the import path. An editable installation uses the
+checkout.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def test_mistakes_are_said_in_one_sentence(
     assert "is no folder one can write to" in mistake("export", str(untrained), "--out", str(tmp_path / "file"))
 
     assert "holds no policy.json; `humoslope export CHECKPOINT` writes one" in mistake("play", str(tmp_path))
-    assert "a window shows one trial; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
+    assert "a live walk is one trial; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
     assert "--grade 70 must be between" in mistake("play", str(exported), "--grade", "70", "--headless")
     monkeypatch.setattr(glfw, "init", lambda: False)
-    assert "there is no display to open a window on; add --headless" in mistake("play", str(exported))
+    assert "there is no display; serve a page for a browser with --view browser" in mistake("play", str(exported))
