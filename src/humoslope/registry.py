@@ -22,7 +22,8 @@ class WarmStartCfg(StrictCfg):
 
     Attributes:
         task: Name of the earlier task.
-        shipped: Path of a checkpoint of that task that comes with HumoSlope, used if the user has trained none; "" for none.
+        shipped: Path of a checkpoint of that task that comes with HumoSlope, used if the user has trained none; "" for
+            none.
         calibrated: Name of the reward that the swing calibration of the earlier checkpoint sets; "" for none.
     """
 

@@ -20,10 +20,10 @@ STAGE1, STAGE2 = (Path(f"experiments/checkpoints/{stage}.pt") for stage in ("sta
 EXPORT = Path("experiments/exports/stage2")
 ROLLOUT = Path("experiments/rollouts/stage2_track20.npz")
 FILES = {
-    STAGE1: "checkpoint of Stage I, with its swing calibration",
-    STAGE2: "checkpoint of Stage II",
-    EXPORT: "its export, which `humoslope demo` shows",
-    ROLLOUT: "its walk on the held-out track",
+    STAGE1: "Checkpoint of Stage I, with its swing calibration.",
+    STAGE2: "Checkpoint of Stage II.",
+    EXPORT: "Its export, which `humoslope demo` shows.",
+    ROLLOUT: "Its walk on the held-out track.",
 }
 """What a user may name on the command line, by its path in a checkout."""
 

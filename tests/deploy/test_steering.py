@@ -23,7 +23,7 @@ def commands(
         yaw_rate_rad_s=turn,
         trained_to_stand=stand,
         held_s=(1.0, 2.0),
-        steering=Steer(1.0, 1.0, turn[1]),
+        steering=Steer("clamp", 1.0, 1.0, turn[1]),
     )
 
 

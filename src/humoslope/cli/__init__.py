@@ -15,7 +15,7 @@ from humoslope.interrupts import Terminated, handled
 VERBS = {
     "demo": "Show the shipped policy on a slope, live and steerable.",
     "train": "Train a task.",
-    "list": "List the registered tasks and terrains.",
+    "list": "List the registered tasks and terrains, and the shipped files.",
     "terrain": "Draw a terrain to a PNG.",
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
     "evaluate": "Evaluate checkpoints on the held-out track.",

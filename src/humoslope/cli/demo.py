@@ -72,7 +72,6 @@ def run(arguments: list[str]) -> None:
         say("There is no display here: it walks into a picture. --view browser serves the page all the same.")
     stood = draw_walk(player, PICTURE_S, POSES, f"HumoSlope, Stage II: {cfg.grade:g}°, {cfg.speed:g} m/s asked", path)
     ended = f"It walked for {PICTURE_S:g} s" if stood else "It fell"
-    say(
-        f"{ended}, {player.world.along(float(player.world.root_pos[0])):.1f} m along the ground; wrote {path.absolute()}"
-    )
+    distance = player.world.along(float(player.world.root_pos[0]))
+    say(f"{ended}, {distance:.1f} m along the ground; wrote {path.absolute()}")
     say(NEXT)

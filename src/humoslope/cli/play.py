@@ -22,8 +22,8 @@ from humoslope.shipped import found
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Runs an exported policy in plain MuJoCo: live, steered in the browser, in a window or with a gamepad; or headless,
-    where it prints how it walks and, at --speed 0, how it stands.
+    """Runs an exported policy in plain MuJoCo: live, steered in the browser, in a window or with a gamepad; or
+    headless, where it prints how it walks and, at --speed 0, how it stands.
 
     Attributes:
         folder: Folder that `humoslope export` wrote.

@@ -110,7 +110,7 @@ class Page:
                 initial_value=float(np.clip(value, low, high)),
                 disabled=low == high,
             )
-            slider.on_update(lambda event, ask=ask: event.client is not None and ask(event.target.value))
+            slider.on_update(lambda event, ask=ask: event.client_id is not None and ask(event.target.value))
             sliders.append(slider)
         if steering.stands:
             gui.add_button("Stand still").on_click(lambda _: steering.stand())
