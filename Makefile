@@ -8,7 +8,7 @@ ROLLOUT ?= experiments/rollouts/stage2_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
+.PHONY: help setup demo train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
   export play terrain bench check-device reproduce recipe drills test lint types check format clean
 
 help: ## List these verbs
@@ -23,6 +23,9 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
+
+demo: $(STAMP) ## Show the shipped policy on a slope, live; ARGS="--grade -15 --view browser"
+	$(BIN)/humoslope demo $(ARGS)
 
 train-stage1: $(STAMP) ## Train Stage I; ARGS="--resume latest" goes on with the newest run
 	$(BIN)/humoslope train HumoSlope-Stage1-Unitree-G1 $(ARGS)
@@ -66,7 +69,7 @@ video: $(STAMP) ## Make an mp4 and a contact sheet of ROLLOUT, without a display
 export: $(STAMP) ## Export CHECKPOINT: ONNX, a contract, and Unitree's deploy.yaml
 	$(BIN)/humoslope export $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
 
-play: $(STAMP) ## Walk with the export in DIR by the arrow keys; ARGS="--headless --trials 64" counts falls
+play: $(STAMP) ## Walk with the export in DIR, steered by keys, sliders or a gamepad; ARGS="--headless --trials 64" counts falls
 	$(BIN)/humoslope play $(call need,DIR,logs/.../model_1000.export) $(ARGS)
 
 meshes: $(STAMP) ## Fetch the robot's real meshes, for ARGS=--meshes of replay and video

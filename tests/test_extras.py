@@ -1,4 +1,4 @@
-"""A package that is not installed is one sentence with the command that installs it, and the base needs none of them."""
+"""A missing package is one sentence with the command that installs it, and the base needs none of them."""
 
 from __future__ import annotations
 

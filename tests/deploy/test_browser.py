@@ -94,14 +94,18 @@ def test_a_browser_gets_the_page(view: browser.Page, port: int) -> None:
         assert b"<html" in page.read()
 
 
-def test_a_browser_receives_robot_ground_and_their_places(opened: Browser, view: browser.Page, player: Player) -> None:
-    kinds = ("BatchedGlbMessage", "BatchedMeshesMessage", "GlbMessage")
-    opened.find(lambda message: message["type"] in kinds and "left_ankle_roll_link" in message["name"])
+def test_a_browser_receives_the_robot_its_ground_and_how_they_move(
+    opened: Browser, view: browser.Page, player: Player
+) -> None:
+    opened.find(lambda message: message["type"] == "BatchedGlbMessage" and "left_ankle_roll" in message["name"])
+    opened.find(lambda message: message["type"] == "GlbMessage" and message["name"].startswith("/fixed_bodies/world"))
     opened.find(lambda message: message["type"] == "GridMessage")
-    fixed = opened.find(lambda message: message["type"] == "SetPositionMessage" and message["name"] == "/fixed_bodies")
-    player.world.data.xpos[1] = (3.0, 0.0, 2.0)
+    player.world.data.xpos[player.world.model.body("pelvis").id] = (3.0, 0.0, 2.0)
+    view._frame_due = 0.0
     view.sync()
-    assert opened.find(lambda message: message["type"] == "SetPositionMessage" and message is not fixed)
+    opened.find(lambda message: message["type"] == "SceneNodeUpdateMessage" and "/pelvis/" in message["name"])
+    ground = {"type": "SetPositionMessage", "name": "/fixed_bodies", "position": [-3.0, 0.0, -2.0]}
+    opened.find(lambda message: ground.items() <= message.items())  # the camera stays with the robot
 
 
 def test_sliders_and_keys_of_the_page_steer(opened: Browser, steering: Steering) -> None:

@@ -145,7 +145,8 @@ def page(player: Player, steering: Steering, port: int) -> Iterator[Page]:
     try:
         yield Page(server, player, steering)
     finally:
-        server.stop()
+        with redirect_stdout(StringIO()):
+            server.stop()
 
 
 def address(port: int) -> str:
