@@ -58,6 +58,9 @@ class Browser:
         protocol: Any = f"viser-v{viser.__version__}"
         self.socket = connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol], max_size=None)
         self.messages: list[dict[str, Any]] = []
+        camera = {"wxyz": (1, 0, 0, 0), "position": (3, 0, 1), "look_at": (0, 0, 0), "up_direction": (0, 0, 1)}
+        lens = {"fov": 0.8, "near": 0.01, "far": 100.0, "image_height": 480, "image_width": 640}
+        self.send(type="ViewerCameraMessage", **camera, **lens)  # only then is it taken for a browser
 
     def find(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The first wanted message of all that have come or will come."""
@@ -103,7 +106,7 @@ def test_a_browser_receives_the_robot_its_ground_and_how_they_move(
     player.world.data.xpos[player.world.model.body("pelvis").id] = (3.0, 0.0, 2.0)
     view._frame_due = 0.0
     view.sync()
-    opened.find(lambda message: message["type"] == "SceneNodeUpdateMessage" and "/pelvis/" in message["name"])
+    opened.find(lambda message: message["type"] == "SceneNodeUpdateMessage" and "/left_ankle" in message["name"])
     ground = {"type": "SetPositionMessage", "name": "/fixed_bodies", "position": [-3.0, 0.0, -2.0]}
     opened.find(lambda message: ground.items() <= message.items())  # the camera stays with the robot
 

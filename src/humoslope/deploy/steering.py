@@ -81,21 +81,21 @@ class Steering:
     def push(self, forward: float, left: float) -> None:
         """Asks for what a stick means: its whole way stands for the trained range, its middle for standing still.
 
-        A policy that cannot stand walks as slowly as it can, and one that cannot walk backward takes that for the
-        middle.
+        A policy that cannot stand walks as slowly as it can, and one that cannot walk backward (or forward) takes that
+        for the middle.
 
         Args:
             forward: Place of the stick from -1, backward, to 1, forward.
             left: Place of the stick from -1, right, to 1, left.
         """
         low, high = self._forward
-        slowest = max(low, 0.0)
-        if forward > 0.0:
-            self._speed = slowest + forward * (high - slowest)
+        slowest_ahead, slowest_back = max(low, 0.0), min(high, 0.0)
+        if forward > 0.0 and high > 0.0:
+            self._speed = slowest_ahead + forward * (high - slowest_ahead)
         elif forward < 0.0 and low < 0.0:
-            self._speed = -forward * low
+            self._speed = slowest_back - forward * (low - slowest_back)
         else:
-            self._speed = 0.0 if self._stands else slowest
+            self._speed = 0.0 if self._stands else slowest_ahead + slowest_back
         right, to_left = self.turns
         self._turn = left * to_left if left >= 0.0 else -left * right
 
