@@ -36,8 +36,6 @@ from io import StringIO
 
 
 class Without:
-    """A finder that does not find what is absent."""
-
     def __init__(self, finder):
         self.finder = finder
 
