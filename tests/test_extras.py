@@ -77,7 +77,8 @@ def test_verbs_say_what_they_lack_and_the_base_needs_none_of_it(tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     for verb, (code, said) in json.loads(done.stdout.splitlines()[-1]).items():
         assert code == 2, verb
-        assert said.startswith(f"humoslope: {verb} needs the package ")
+        who = "--view browser" if verb == "demo" else verb
+        assert said.startswith(f"humoslope: {who} needs the package ")
         assert said.endswith(", which is not installed: pip install 'humoslope[view]'.\n")
         assert said.count("\n") == 1
 

@@ -63,8 +63,7 @@ def run(arguments: list[str]) -> None:
     slope = f"a slope of {cfg.grade:g} degrees" if cfg.grade else "flat ground"
     say(f"The shipped policy of Stage II on {contract.robot.name}, blind, on {slope}, in plain MuJoCo.")
     if options.picture is None and kind is not None:
-        say(NEXT)
-        views.show(player, kind, options.live, say)
+        views.show(player, kind, options.live, say, NEXT)
         return
     path = options.picture or PICTURE
     check_place(path)

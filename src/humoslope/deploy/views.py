@@ -10,11 +10,13 @@ from typing import Literal
 
 from humoslope.deploy.gamepad import Gamepad
 from humoslope.deploy.player import Player, TrialCfg
-from humoslope.extras import installed
+from humoslope.extras import installed, require
 from humoslope.screen import has_display
 
 Kind = Literal["browser", "window"]
 Wish = Literal["auto", "browser", "window"]
+PAGE = "mjviser"
+"""Package that draws the page."""
 LONG_S = 600.0
 """Time for which there is ground to walk on, s; who still watches then has to start over."""
 
@@ -37,12 +39,18 @@ class Live:
 
 
 def chosen(wish: Wish) -> Kind | None:
-    """The view to show; None if no display is there and no view was asked for."""
+    """The view to show; None if no display is there and no view was asked for.
+
+    Raises:
+        UserError: If what draws the page that was asked for is not installed.
+    """
+    if wish == "browser":
+        require("--view browser", PAGE)
     if wish != "auto":
         return wish
     if not has_display():
         return None
-    return "browser" if installed("mjviser") else "window"
+    return "browser" if installed(PAGE) else "window"
 
 
 def long_course(cfg: TrialCfg) -> TrialCfg:
@@ -50,7 +58,7 @@ def long_course(cfg: TrialCfg) -> TrialCfg:
     return dataclasses.replace(cfg, seconds=max(cfg.seconds, LONG_S))
 
 
-def show(player: Player, kind: Kind, live: Live, say: Callable[[str], object]) -> None:
+def show(player: Player, kind: Kind, live: Live, say: Callable[[str], object], and_then: str = "") -> None:
     """Lets the robot walk in real time, steered, until its window is closed or the process is interrupted.
 
     Args:
@@ -58,17 +66,17 @@ def show(player: Player, kind: Kind, live: Live, say: Callable[[str], object]) -
         kind: The view.
         live: Port of the page, and the gamepad.
         say: Called with the address of the page, the keys, and a message after each fall.
+        and_then: Said as well once the robot is shown.
 
     Raises:
         UserError: If there is no such display, port or gamepad.
-        ModuleNotFoundError: If what draws the page is not installed.
     """
     gamepad = None if live.gamepad is None else Gamepad(live.gamepad)
     if kind == "browser":
         from humoslope.deploy import browser
 
         def opened(address: str) -> None:
-            say(f"{address}\n{browser.KEYS}\nCtrl-C ends it.")
+            say(f"{address}\n{browser.KEYS}\nCtrl-C ends it.\n{and_then}".rstrip())
             if has_display():  # otherwise Python would open a browser in the terminal
                 webbrowser.open(address)
 
@@ -77,5 +85,5 @@ def show(player: Player, kind: Kind, live: Live, say: Callable[[str], object]) -
     from humoslope.deploy import window  # needs libraries that a machine without a display may lack
 
     window.check_display()
-    say(window.KEYS)
+    say(f"{window.KEYS}\n{and_then}".rstrip())
     window.live(player, say, gamepad)
