@@ -9,7 +9,7 @@ need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  export play terrain bench check-device reproduce recipe drills test lint types check format clean
+  export play terrain bench check-device reproduce recipe drills wheel test lint types check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -90,6 +90,9 @@ reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two 
 
 recipe: $(STAMP) ## Compare changes to the CPU recipe in short trainings, some ninety minutes on one core
 	@$(MAKE) -f experiments/recipe.mk BIN=$(BIN) $(ARGS)
+
+wheel: $(STAMP) ## Build the wheel, which holds all tasks, terrains, robots and shipped results, into dist
+	$(BIN)/pip wheel -q --disable-pip-version-check --no-deps --no-build-isolation -w dist .
 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
 	$(BIN)/python -m pytest $(or $(ARGS),-n auto --dist worksteal --cov --cov-report=term:skip-covered --cov-fail-under=85)
