@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from io import StringIO
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -94,15 +95,15 @@ class Page:
         slope = f"{cfg.grade:g}° ahead" if cfg.grade else f"{cfg.cross:g}° across" if cfg.cross else "flat ground"
         return f"**{speed}** · {slope} · {now:.0f} s\n\nArrow keys steer; Enter: stand still; Home: start over"
 
-    def _add_controls(self, server: viser.ViserServer) -> tuple[viser.GuiInputHandle[float], ...]:
+    def _add_controls(self, server: viser.ViserServer) -> list[Any]:
         steering, gui = self._steering, server.gui
-        sliders = []
+        sliders: list[Any] = []  # by viser's types, their values could only be read
         for label, (low, high), value, ask in (
             ("Speed (m/s)", steering.speeds, steering.command[0], steering.ask_speed),
             ("Turn (rad/s)", steering.turns, steering.command[2], steering.ask_turn),
         ):
             # A slider without a way to go is none.
-            slider = gui.add_slider(
+            slider: Any = gui.add_slider(
                 label,
                 min=low,
                 max=max(high, low + SLIDER_STEP),
@@ -115,16 +116,17 @@ class Page:
         if steering.stands:
             gui.add_button("Stand still").on_click(lambda _: steering.stand())
         gui.add_button("Start over").on_click(lambda _: steering.start_over())
-        for label, key, press in (
+        keys: tuple[tuple[str, Any, Callable[[object], None]], ...] = (
             ("Faster", "arrowup", lambda _: steering.step_speed(up=True)),
             ("Slower", "arrowdown", lambda _: steering.step_speed(up=False)),
             ("Turn left", "arrowleft", lambda _: steering.step_turn(left=True)),
             ("Turn right", "arrowright", lambda _: steering.step_turn(left=False)),
             ("Stand still", "enter", lambda _: steering.stand()),
             ("Start over", "home", lambda _: steering.start_over()),
-        ):
+        )
+        for label, key, press in keys:
             gui.add_command(label, hotkey=key).on_trigger(press)
-        return tuple(sliders)
+        return sliders
 
 
 @contextmanager
