@@ -1,4 +1,7 @@
-"""A page in the browser on which the robot is steered with sliders and the arrow keys; drawn by mjviser and viser."""
+"""A page in the browser on which the robot is steered with sliders and keys; drawn by mjviser and viser.
+
+The arrow keys and W, A, S, D, Q, E move the camera in viser, so that others steer.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from humoslope.deploy.player import Player
 from humoslope.deploy.steering import Steering
 from humoslope.screen import HOST, check_port
 
-KEYS = "in the page, up and down: speed; left and right: turn; Enter: stand still; Home: start over"
+KEYS = "I and K: speed; J and L: turn; Enter: stand still; Home: start over"
 FRAME_S, STATUS_S = 1.0 / 30.0, 0.5
 """Time between two pictures, and between two lines about the walk, s."""
 SPEED_OVER_S = 1.0
@@ -93,7 +96,7 @@ class Page:
         before, there = self._places[0]
         speed = f"{np.linalg.norm(place - there) / (now - before):.2f} m/s" if now > before else "-"
         slope = f"{cfg.grade:g}° ahead" if cfg.grade else f"{cfg.cross:g}° across" if cfg.cross else "flat ground"
-        return f"**{speed}** · {slope} · {now:.0f} s\n\nArrow keys steer; Enter: stand still; Home: start over"
+        return f"**{speed}** · {slope} · {now:.0f} s\n\n{KEYS}"
 
     def _add_controls(self, server: viser.ViserServer) -> list[Any]:
         steering, gui = self._steering, server.gui
@@ -117,10 +120,10 @@ class Page:
             gui.add_button("Stand still").on_click(lambda _: steering.stand())
         gui.add_button("Start over").on_click(lambda _: steering.start_over())
         keys: tuple[tuple[str, Any, Callable[[object], None]], ...] = (
-            ("Faster", "arrowup", lambda _: steering.step_speed(up=True)),
-            ("Slower", "arrowdown", lambda _: steering.step_speed(up=False)),
-            ("Turn left", "arrowleft", lambda _: steering.step_turn(left=True)),
-            ("Turn right", "arrowright", lambda _: steering.step_turn(left=False)),
+            ("Faster", "I", lambda _: steering.step_speed(up=True)),
+            ("Slower", "K", lambda _: steering.step_speed(up=False)),
+            ("Turn left", "J", lambda _: steering.step_turn(left=True)),
+            ("Turn right", "L", lambda _: steering.step_turn(left=False)),
             ("Stand still", "enter", lambda _: steering.stand()),
             ("Start over", "home", lambda _: steering.start_over()),
         )

@@ -76,7 +76,7 @@ def show(player: Player, kind: Kind, live: Live, say: Callable[[str], object], a
         from humoslope.deploy import browser
 
         def opened(address: str) -> None:
-            say(f"{address}\n{browser.KEYS}\nCtrl-C ends it.\n{and_then}".rstrip())
+            say(f"{address}\nIn the page, {browser.KEYS}\nCtrl-C ends it.\n{and_then}".rstrip())
             if has_display():  # otherwise Python would open a browser in the terminal
                 webbrowser.open(address)
 
