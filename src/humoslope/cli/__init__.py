@@ -9,12 +9,14 @@ from importlib import import_module
 from types import FrameType
 
 from humoslope.errors import UserError, unknown
+from humoslope.extras import explained_extras
 from humoslope.interrupts import Terminated, handled
 
 VERBS = {
+    "demo": "Show the shipped policy on a slope, live and steerable.",
     "train": "Train a task.",
     "campaign": "Run a table of trainings and evaluations.",
-    "list": "List the registered tasks and terrains.",
+    "list": "List the registered tasks and terrains, and the shipped files.",
     "terrain": "Draw a terrain to a PNG.",
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
     "evaluate": "Evaluate checkpoints on the held-out track.",
@@ -59,8 +61,8 @@ def main(arguments: list[str] | None = None) -> int:
         verb, rest = arguments[0], arguments[1:]
         if verb not in VERBS:
             raise unknown("verb", verb, VERBS)
-        run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
-        with handled(_stop):
+        with handled(_stop), explained_extras(verb):
+            run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
             run(rest)
     except UserError as error:
         code, said = 2, str(error)
