@@ -33,6 +33,7 @@ VERBS = {
     "robot": "Simulate a robot for `humoslope deploy`, on the loopback interface.",
     "doctor": "Find out what is wrong from a walk that `humoslope deploy` recorded.",
     "margins": "Certify the physical conditions up to which an exported policy succeeds.",
+    "accept": "Check whether an exported policy meets what is demanded of one that is to walk on a robot.",
     "bench": "Measure speed and memory.",
     "check": "Check that an installation is right and fast, on a GPU or a CPU.",
 }
