@@ -36,7 +36,7 @@ from humoslope.managers import (
     control_steps,
 )
 from humoslope.memory import require_memory
-from humoslope.ranges import Range, Seed, check_config
+from humoslope.ranges import Range, Seed, Timestep, check_config, check_params
 from humoslope.scene.drives import Drives
 from humoslope.scene.height_scan import HeightScan, HeightScanCfg
 from humoslope.scene.masses import Masses
@@ -73,7 +73,7 @@ class SimCfg(StrictCfg):
             by default. It concerns observations with `measured`.
     """
 
-    timestep: Annotated[float, Range(1e-4, 0.05)] = 0.005
+    timestep: Timestep = 0.005
     decimation: Annotated[int, Range(1, 1000)] = 4
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     backend: Literal["auto", "native", "warp"] = "auto"
@@ -156,6 +156,17 @@ def _bytes_per_env(cfg: EnvCfg) -> float:
     return BYTES_PER_ENV + history + delayed + scanned
 
 
+def _check_terms(cfg: EnvCfg) -> None:
+    """Checks the parameters of every term against their ranges, as `bind` does again with the environment at hand: a
+    wrong one is not worth the seconds in which a terrain is drawn."""
+    kinds = {"reward": cfg.rewards, "termination": cfg.terminations, "event": cfg.events}
+    kinds |= {"curriculum": cfg.curriculum, "observer": cfg.observers}
+    named = [(kind, name, term) for kind, terms in kinds.items() for name, term in terms.items()]
+    named += [("observation", name, term) for group in cfg.observations.values() for name, term in group.terms.items()]
+    for kind, name, term in named:
+        check_params(f"{kind} '{name}'", term.func, term.params)
+
+
 class ManagerBasedRlEnv:
     """Environment of N envs that are stepped together; an env whose episode ends is reset within the step.
 
@@ -182,6 +193,7 @@ class ManagerBasedRlEnv:
 
     def __init__(self, cfg: EnvCfg) -> None:
         check_config("env", cfg)
+        _check_terms(cfg)
         if cfg.sim.device in ("auto", "cpu"):
             require_memory("env.num_envs", cfg.num_envs, _bytes_per_env(cfg))
         self.cfg = cfg

@@ -34,11 +34,15 @@ def require_positive(who: str, **values: float) -> None:
     """Raises a UserError for the first value that is not a positive number; `who` begins the message."""
     for name, value in values.items():
         if not 0.0 < value < math.inf:
-            raise UserError(f"{who}: {name} is {value:g}; it must be positive.")
+            raise UserError(f"{who}: {name} is {value:g}; it must be positive ({_wrong(value)}).")
 
 
 def require_not_negative(who: str, **values: float) -> None:
     """Raises a UserError for the first value that is not a number of at least zero; `who` begins the message."""
     for name, value in values.items():
         if not 0.0 <= value < math.inf:
-            raise UserError(f"{who}: {name} is {value:g}; it must be 0 or more.")
+            raise UserError(f"{who}: {name} is {value:g}; it must be 0 or more ({_wrong(value)}).")
+
+
+def _wrong(value: float) -> str:
+    return "too low" if math.isfinite(value) else "not finite"

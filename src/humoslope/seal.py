@@ -1,8 +1,12 @@
 """Seals: files that know when they are damaged.
 
 A zip archive (a checkpoint, a rollout, saved trials) carries the SHA-256 of everything before it as its comment; a JSON
-file (results, calibrations) carries it as its last entry. The files of a folder (an export) are listed with theirs in
-`SHA256SUMS`, in the format of `sha256sum`. Files of earlier versions have no seal, and are read without one.
+file (results, calibrations) carries it as its last entry. The files of a folder (an export, the record of a start,
+meshes) are listed with theirs in `SHA256SUMS`, and a table in a file beside it, in the format of `sha256sum`. Files of
+earlier versions have no seal, and are read without one.
+
+All results are sealed, also those that no verb reads again. Not sealed is what is only looked at (figures, films, tables
+for documents, console.log) or has checksums of its own (event files).
 """
 
 from __future__ import annotations
@@ -71,11 +75,20 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         return dict(archive)
 
 
-def write_json(path: Path, report: Mapping[str, Any]) -> None:
-    """Writes a sealed JSON file in one step."""
+def sealed_json(report: Mapping[str, Any]) -> str:
+    """A report as JSON, with the SHA-256 of what stands before it as last entry.
+
+    Raises:
+        ValueError: If a number is not finite.
+    """
     body = json.dumps({**report}, indent=2, allow_nan=False).encode().removesuffix(b"\n}") + LAST_ENTRY
     digest = hashlib.sha256(body).hexdigest()
-    write_text(path, f'{body.decode()}{digest}"\n}}\n')
+    return f'{body.decode()}{digest}"\n}}\n'
+
+
+def write_json(path: Path, report: Mapping[str, Any]) -> None:
+    """Writes a sealed JSON file in one step; see `sealed_json`."""
+    write_text(path, sealed_json(report))
 
 
 def read_json(path: Path) -> Any:
@@ -98,22 +111,31 @@ def read_json(path: Path) -> Any:
     return read
 
 
-def write_sums(folder: Path, files: Iterable[str]) -> None:
+def beside(path: Path) -> str:
+    """Name of the list with the SHA-256 of a single file, which lies beside it."""
+    return f"{path.name}.sha256"
+
+
+def write_sums(folder: Path, files: Iterable[str], name: str = SUMS) -> None:
     """Lists files of a folder with their SHA-256."""
     lines = [f"{hashlib.sha256((folder / file).read_bytes()).hexdigest()}  {file}\n" for file in sorted(files)]
-    write_text(folder / SUMS, "".join(lines))
+    write_text(folder / name, "".join(lines))
 
 
-def check_sums(folder: Path) -> None:
+def check_sums(folder: Path, advice: str = "export anew, or", name: str = SUMS) -> None:
     """Compares the files of a folder with their list; a folder without a list passes.
+
+    Args:
+        advice: What to do, for the message, which goes on with ", if a change is meant, remove" the list.
+        name: Name of the list.
 
     Raises:
         UserError: If a file is missing or another one than was listed, or the list itself is damaged.
     """
-    path = folder / SUMS
+    path = folder / name
     if not path.exists():
         return
-    again = f"export anew, or, if a change is meant, remove '{path}'"
+    again = f"{advice}, if a change is meant, remove '{path}'"
     try:
         lines = path.read_bytes().decode("ascii").splitlines(keepends=True)
     except (OSError, UnicodeDecodeError):
@@ -129,7 +151,7 @@ def check_sums(folder: Path) -> None:
         except OSError:
             raise UserError(f"'{folder / file}', which '{path}' lists, cannot be read; {again}.") from None
         if found != digest:
-            raise UserError(f"'{folder / file}' is damaged or was changed since it was exported; {again}.")
+            raise UserError(f"'{folder / file}' is damaged or was changed since it was written; {again}.")
 
 
 def _had_seal(content: bytes) -> bool:

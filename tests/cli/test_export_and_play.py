@@ -98,6 +98,6 @@ def test_mistakes_are_said_in_one_sentence(
 
     assert "holds no policy.json; `humoslope export CHECKPOINT` writes one" in mistake("play", str(tmp_path))
     assert "a window shows one trial; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
-    assert "--grade 70 must be between" in mistake("play", str(exported), "--grade", "70", "--headless")
+    assert "play: grade is 70; it must be between" in mistake("play", str(exported), "--grade", "70", "--headless")
     monkeypatch.setattr(glfw, "init", lambda: False)
     assert "there is no display to open a window on; add --headless" in mistake("play", str(exported))

@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-SHARED = {f"humoslope.{name}" for name in ("errors", "files", "interrupts", "seal", "statistics")}
-"""What it may use of the rest: sentences for mistakes, files and their seals, signals, and an interval for a share."""
+SHARED = {f"humoslope.{name}" for name in ("errors", "files", "interrupts", "ranges", "seal", "statistics")}
+"""What it may use of the rest: sentences for mistakes, ranges of options, files and their seals, signals, and an interval for a share."""
 
 CODE = """
 import sys
@@ -27,7 +27,10 @@ def test_playing_imports_no_manager_no_environment_and_no_torch(exported: Path) 
     assert not packages & {"torch", "rsl_rl", "tensordict", "mjbatch", "mujoco_warp", "robots", "terrains", "tasks"}
     ours = {name for name in modules if name.startswith("humoslope.")}
     assert {name for name in ours if not name.startswith(("humoslope.deploy", "humoslope.cli"))} == SHARED
-    assert {name for name in ours if name.startswith("humoslope.cli.")} == {"humoslope.cli.play"}
+    assert {name for name in ours if name.startswith("humoslope.cli.")} == {
+        "humoslope.cli.arguments",
+        "humoslope.cli.play",
+    }
 
 
 def test_what_runs_beside_a_robot_needs_no_torch_either() -> None:

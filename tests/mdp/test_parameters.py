@@ -157,9 +157,9 @@ def test_no_name_of_any_term_may_match_nothing(refusal):
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        ({"speed": -1.0}, r"event 'push': speed is -1; it must be between 0 and 10\."),
-        ({"speed": NAN}, r"event 'push': speed is nan; it must be between 0 and 10\."),
-        ({"speed": "fast"}, r"event 'push': speed is 'fast'; it must be between 0 and 10\."),
+        ({"speed": -1.0}, r"event 'push': speed is -1; it must be between 0 and 10 \(too low\)\."),
+        ({"speed": NAN}, r"event 'push': speed is nan; it must be between 0 and 10 \(not finite\)\."),
+        ({"speed": "fast"}, r"event 'push': speed is 'fast'; it must be between 0 and 10 \(not a number\)\."),
     ],
 )
 def test_an_event_that_first_happens_after_seconds_is_checked_when_the_environment_is_built(make_stage1, option, said):

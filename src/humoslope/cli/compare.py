@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated, ClassVar
 
 import tyro
 
+from humoslope.cli.arguments import parse_options
 from humoslope.cli.overrides import option_groups
 from humoslope.errors import UserError
 from humoslope.evaluation.report.compare import compare
 from humoslope.files import check_place, write_text
 from humoslope.learning.run_folder import saved_options
+from humoslope.ranges import Checked, Range
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Prints a table of training runs, with the options in which they differ.
 
     Attributes:
@@ -24,14 +27,16 @@ class Options:
         out: Path of a file for the table too, as Markdown (.md) or CSV (.csv).
     """
 
+    VERB: ClassVar[str] = "compare"
+
     runs: tyro.conf.Positional[tuple[Path, ...]]
-    at: float = 0.0
+    at: Annotated[float, Range(0.0, 1e15)] = 0.0
     out: Path | None = None
 
 
 def run(arguments: list[str]) -> None:
     """Compares the runs named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope compare")
+    options = parse_options(Options, arguments, "compare")
     if not options.runs:
         raise UserError("compare needs one run folder or more.")
     if options.out is not None:

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from humoslope.cli.arguments import parse_options
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.player import SETTLE_S, Player, Trial, TrialCfg, run_trials, summarise
 from humoslope.errors import UserError
+from humoslope.ranges import Checked
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Runs an exported policy in plain MuJoCo, in a window or headless, and prints how it walks; at --speed 0, how it
     stands.
 
@@ -27,6 +29,8 @@ class Options:
         headless: Run without a window, as fast as the machine can.
     """
 
+    VERB: ClassVar[str] = "play"
+
     folder: tyro.conf.Positional[Path]
     trials: Annotated[TrialCfg, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrialCfg)
     headless: bool = False
@@ -34,7 +38,7 @@ class Options:
 
 def run(arguments: list[str]) -> None:
     """Plays the export named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope play")
+    options = parse_options(Options, arguments, "play")
     cfg, console = options.trials, Console()
     if not options.headless and cfg.trials > 1:
         raise UserError("a window shows one trial; --trials needs --headless.")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import threading
 import time
 from pathlib import Path
@@ -20,7 +19,8 @@ from humoslope.deploy.onboard.simulated import Faults, SimulatedRobot
 from humoslope.deploy.onboard.unitree_link import PERIOD_S, UnitreeRobot, load_sdk
 from humoslope.deploy.player import STEEPEST
 from humoslope.errors import UserError, require_positive
-from humoslope.files import check_place, write_text
+from humoslope.files import check_place
+from humoslope.seal import write_json
 
 BEHIND_S = 0.1
 """Time by which the simulation may fall behind before it gives up catching up, s."""
@@ -95,7 +95,7 @@ def run(arguments: list[str]) -> None:
     with signals_set(stop):
         _live(robot, side, person, happened, options.seconds or float("inf"), stop, pace)
     if options.out is not None:
-        write_text(options.out, json.dumps(happened.result(), indent=1) + "\n")
+        write_json(options.out, happened.result())
 
 
 def _live(

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import tyro
 
+from humoslope.cli.arguments import parse_options
 from humoslope.evaluation.report.paper import Paper, read_paper
 from humoslope.evaluation.report.results import Result, read_results
 from humoslope.evaluation.report.table import Sheet
 from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
 from humoslope.files import check_place, write_text
+from humoslope.ranges import Checked, Finite
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Prints a table of several methods, with the paper's row below each of ours.
 
     Attributes:
@@ -29,15 +31,17 @@ class Options:
         out: Path without ending of files for the table too, as .md, .csv and .json.
     """
 
+    VERB: ClassVar[str] = "table"
+
     which: tyro.conf.Positional[Literal["1", "2", "diagnostics", "cells"]]
     results: tyro.conf.Positional[tuple[str, ...]]
-    grade: float = 20.0
+    grade: Finite = 20.0
     out: Path | None = None
 
 
 def run(arguments: list[str]) -> None:
     """Prints the table named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope table")
+    options = parse_options(Options, arguments, "table")
     sheet = _sheet(options, read_results(options.results), read_paper())
     writers = {".md": sheet.to_markdown, ".csv": sheet.to_csv, ".json": sheet.to_json}
     paths = {} if options.out is None else {options.out.with_name(options.out.name + end): end for end in writers}

@@ -15,11 +15,12 @@ from humoslope.errors import UserError
 from humoslope.files import temporary_folder, write_text
 from humoslope.replay.shapes import Shape, joined
 from humoslope.scene.robot import MeshSource
+from humoslope.seal import SUMS, check_sums, write_sums
 
 CACHE = Path(".meshes")
 """Cache folder, below the current one; git ignores it."""
 INDEX = "visuals.json"
-"""File with the mesh of each link; written last, so that a cache with this file is complete."""
+"""File with the mesh of each link; written after the meshes, so that a cache with this file is complete."""
 
 
 def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
@@ -38,11 +39,13 @@ def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
                 except KeyError:
                     raise UserError(f"{source.package} {source.version} has no {source.folder}/{file}.") from None
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / INDEX).unlink(missing_ok=True)
+        for name in (INDEX, SUMS):
+            (folder / name).unlink(missing_ok=True)
         for file, content in meshes.items():
             (folder / file).write_bytes(content)
     write_text(folder / "LICENCE.txt", source.licence + "\n")
     write_text(folder / INDEX, json.dumps([vars(visual) for visual in source.visuals], indent=2) + "\n")
+    write_sums(folder, [*meshes, INDEX])
     return folder
 
 
@@ -55,6 +58,7 @@ def load_meshes(robot: str, cache: Path = CACHE) -> dict[str, Shape]:
     folder = cache / robot
     if not (folder / INDEX).is_file():
         raise UserError(f"there are no meshes of '{robot}' in '{folder}'; `humoslope meshes` fetches them.")
+    check_sums(folder, "`humoslope meshes` fetches them anew, or")
     try:
         shapes: dict[str, list[Shape]] = {}
         for visual in json.loads((folder / INDEX).read_text(encoding="utf-8")):

@@ -272,12 +272,12 @@ def test_half_of_a_batch_is_mirrored(make_stage1: Callable[..., Any]) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"gamma": 1.0}, r"agent\.gamma is 1; it must be between 0 and 1, 1 excluded\."),
+        ({"gamma": 1.0}, r"agent\.gamma is 1; it must be between 0 and 1, 1 excluded \(too high\)\."),
         ({"v_min": 3.0, "v_max": 3.0}, "agent.v_min 3 must be less than v_max 3."),
-        ({"num_atoms": 1}, r"agent\.num_atoms is 1; it must be 2 or more\."),
+        ({"num_atoms": 1}, r"agent\.num_atoms is 1; it must be 2 or more \(too low\)\."),
         ({"exploration_std": (0.3, 0.1)}, r"agent\.exploration_std is \(0\.3, 0\.1\); it must be \(lowest, highest\)"),
         ({"critic_hidden_dims": ()}, r"agent.critic_hidden_dims is \(\); it must have at least one\.$"),
-        ({"batch_size": 0}, r"agent\.batch_size is 0; it must be 1 or more\."),
+        ({"batch_size": 0}, r"agent\.batch_size is 0; it must be 1 or more \(too low\)\."),
     ],
 )
 def test_impossible_values_are_refused(changes: dict[str, Any], said: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -12,6 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from humoslope.seal import sealed_json
 from humoslope.statistics import Average, Proportion
 
 Value = float | Proportion | Average | str | None
@@ -131,9 +131,8 @@ class Sheet:
         return out.getvalue()
 
     def to_json(self) -> str:
-        """The table as JSON: as `to_csv`, with the notes."""
-        whole = {"title": self.title, "notes": self.notes, "rows": self.records()}
-        return json.dumps(whole, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+        """The table as sealed JSON: as `to_csv`, with the notes."""
+        return sealed_json({"title": self.title, "notes": self.notes, "rows": self.records()})
 
     def records(self) -> list[dict[str, Any]]:
         """Every row as a mapping from names to values; all rows have the same names."""
