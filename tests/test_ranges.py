@@ -81,6 +81,10 @@ def test_a_range_is_said_in_words(bounds, words):
     assert bounds.fault("many") == f"it must be {words} (not a number)"
 
 
+PAIR = "it must be (lowest, highest), two finite numbers"
+SIZED = "of a size between 1e-09 and 1,000,000"
+
+
 @dataclass
 class Inner(StrictCfg):
     share: Share = 0.5
@@ -119,7 +123,7 @@ class More(Settings):
             (2.0, 1.0),
             "settings.times is (2, 1); it must be (lowest, highest), two finite numbers (the first is higher).",
         ),
-        ("times", (2.0,), "settings.times is (2); it must be (lowest, highest), two finite numbers (not two numbers)."),
+        ("times", (2.0,), f"settings.times is (2); {PAIR} (not two numbers)."),
         ("mode", "c", "settings.mode is 'c'; it must be 'a' or 'b'."),
         ("plain", math.nan, "settings.plain is nan; it must be finite."),
         ("count", 0, "settings.count is 0; it must be 1 or more (too low)."),
@@ -127,7 +131,7 @@ class More(Settings):
         (
             "count",
             10**400,
-            "settings.count is about 1e400; it must be 1 or more, of a size between 1e-09 and 1,000,000 (too large).",
+            f"settings.count is about 1e400; it must be 1 or more, {SIZED} (too large).",
         ),
         ("rate", math.nan, "settings.rate is nan; it must be positive (not finite)."),
         ("count", 1.5, "settings.count is 1.5; it must be a whole number."),
@@ -135,12 +139,12 @@ class More(Settings):
         (
             "rate",
             1e300,
-            "settings.rate is 1e+300; it must be positive, of a size between 1e-09 and 1,000,000 (too large).",
+            f"settings.rate is 1e+300; it must be positive, {SIZED} (too large).",
         ),
         (
             "rate",
             1e-300,
-            "settings.rate is 1e-300; it must be positive, of a size between 1e-09 and 1,000,000 (too close to zero).",
+            f"settings.rate is 1e-300; it must be positive, {SIZED} (too close to zero).",
         ),
         ("widths", (), "settings.widths is (); it must have at least one."),
         ("widths", (8, 0), "settings.widths is (8, 0); of each, it must be between 1 and 64 (too low)."),

@@ -1,8 +1,8 @@
 """Ranges of parameters, declared at the parameter: `speed: NotNegative`, `soft: Annotated[float, Range(0.0, 1.0)]`.
 
 A declaration is the metadata of an `Annotated` type. It serves parameters of terms, which `managers.terms.bind` checks
-when the term is built, and fields of configuration dataclasses, which `check_config` checks before anything is built; options
-of verbs are `Checked`. `--help` shows it, see `in_words`.
+when the term is built; fields of configuration dataclasses, which `check_config` checks before anything is built; and
+options of verbs, which are `Checked`. `--help` shows it, see `in_words`.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ file (results, calibrations) carries it as its last entry. The files of a folder
 meshes) are listed with theirs in `SHA256SUMS`, and a table in a file beside it, in the format of `sha256sum`. Files of
 earlier versions have no seal, and are read without one.
 
-All results are sealed, also those that no verb reads again. Not sealed is what is only looked at (figures, films, tables
-for documents, console.log) or has checksums of its own (event files).
+All results are sealed, also those that no verb reads again. Not sealed is what is only looked at (figures, films,
+tables for documents, console.log) or has checksums of its own (event files).
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 SHARED = {f"humoslope.{name}" for name in ("errors", "files", "interrupts", "ranges", "seal", "statistics")}
-"""What it may use of the rest: sentences for mistakes, ranges of options, files and their seals, signals, and an interval for a share."""
+"""What it may use of the rest: sentences for mistakes, ranges of options, files and their seals, signals, and an
+interval for a share."""
 
 CODE = """
 import sys

@@ -100,9 +100,9 @@ def run(numbers: Long, console: Console) -> list[Drill]:
             f"{_estimate(numbers) / 60:.0f} min on an idle core. Results are kept in {numbers.keep}.",
             highlight=False,
         )
-        for number, (part, result) in enumerate(zip(todo, before, strict=True), start=1):
-            if result is None:
-                result = kept.run(part)
+        for number, (part, earlier) in enumerate(zip(todo, before, strict=True), start=1):
+            result = earlier or kept.run(part)
+            if earlier is None:
                 console.print(
                     f"{number}/{len(todo)} {part.drill} {part.which}: {result.tried} tried, "
                     f"{len(result.failures)} failed, {result.seconds:.0f} s",

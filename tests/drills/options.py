@@ -32,7 +32,7 @@ from tests.drills.report import Drill
 
 SMALL = [
     *("--preset", "cpu", "--env.num-envs", "2", "--env.sim.device", "cpu", "--env.sim.num-threads", "1"),
-    *("--env.scene.terrain.levels", "2", "--env.scene.terrain.num-columns", "8"),
+    *("--env.scene.terrain.levels", "2", "--env.scene.terrain.num-columns", "9"),
 ]
 SMALL_AGENT = {
     "--agent.num-steps-per-env": ["4"],
@@ -67,7 +67,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "huge": ("1e300", "-1e300", "99999999999", "1e9", "1" + 400 * "0", "9" * 5000),
     "tiny": ("1e-300",),
     "empty": ("",),
-    "unicode": ("ü✓", "\u202e1", "１２", "\n"),
+    "unicode": ("ü✓", "\u202e1", "\uff11", "\n"),
 }
 """Words in place of a number, by what is wrong with them."""
 TEXTS = ("", "(", "nothing", "ü✓", ".*", "../..", "a b", "\n", "x" * 5000, "nan", "-1", "[")
@@ -245,33 +245,29 @@ def _leaves(cfg: TaskCfg) -> Iterator[tuple[str, Any]]:
 def _words(option: Option, turn: int, rng: random.Random) -> list[str]:
     """An option as typed, with a value of the kind whose turn it is."""
     name, value = option
-    several = isinstance(value, tuple)
-    kinds = OF_SEVERAL if several else OF_ANY
+    kinds = OF_SEVERAL if isinstance(value, tuple) else OF_ANY
     kind = kinds[turn % len(kinds)]
-    size = max(1, len(value)) if several else 1
+    written = _written(value)
+    changed = {"too many": [*written, "1", "2"], "too few": written[:-1], "reversed": written[::-1]}
     if kind == "unknown name":
         letters = list(name)
         letters[rng.randrange(2, len(letters))] = rng.choice("abcxyzü")
-        return ["".join(letters), *([] if isinstance(value, bool) else _written(value))]
-    if kind == "too many":
-        return [name, *_written(value), "1", "2"]
-    if kind == "too few":
-        return [name, *_written(value)[:-1]]
-    if kind == "reversed":
-        return [name, *reversed(_written(value))]
-    if isinstance(value, bool):
+        name, words = "".join(letters), [] if isinstance(value, bool) else written
+    elif kind in changed:
+        words = changed[kind]
+    elif isinstance(value, bool) and kind not in KINDS:
         *path, last = name.removeprefix("--").split(".")
-        flag = f"--{'.'.join([*path, f'no-{last}'])}"
-        return [name, rng.choice(KINDS[kind])] if kind in KINDS else [rng.choice((name, flag))]
-    if isinstance(value, str):
-        return [name, rng.choice(TEXTS)]
-    if kind == "scaled":
-        return [name, *(_scaled(v, rng) for v in (value if several and value else (value,)))]
-    if kind == "one wrong":
-        words = _written(value) or ["1"]
+        name, words = rng.choice((name, f"--{'.'.join([*path, f'no-{last}'])}")), []
+    elif isinstance(value, str):
+        words = [rng.choice(TEXTS)]
+    elif kind == "scaled":
+        words = [_scaled(v, rng) for v in (value if isinstance(value, tuple) and value else (value,))]
+    elif kind == "one wrong":
+        words = written or ["1"]
         words[rng.randrange(len(words))] = rng.choice(KINDS[rng.choice(list(KINDS))])
-        return [name, *words]
-    return [name, *[rng.choice(KINDS[kind])] * size]
+    else:
+        words = [rng.choice(KINDS[kind])] * max(1, len(written))
+    return [name, *words]
 
 
 def _written(value: Any) -> list[str]:

@@ -435,7 +435,8 @@ MISTAKES = {
     ),
     "reversed": (
         {"term": event(randomization.randomize_control_delay, delay=(0.02, 0.01)), "max_control_delay_s": 0.02},
-        r"event 'term': delay is \(0.02, 0.01\); it must be \(lowest, highest\), each 0 or more \(the first is higher\)\.",
+        r"event 'term': delay is \(0.02, 0.01\); it must be \(lowest, highest\), each 0 or more \(the first is higher"
+        r"\)\.",
     ),
     "masses": (
         {"term": event(randomization.randomize_link_masses, factor=(0.0, 1.0))},

@@ -183,8 +183,6 @@ def _events(path: Path) -> Iterator[Event]:
         except DataLossError as error:
             if "truncated" in str(error):
                 return
-            raise UserError(
-                f"the curves in '{path}' are damaged; draw the run without them once they are removed."
-            ) from None
+            raise UserError(f"the curves in '{path}' are damaged; without that file the rest can be drawn.") from None
         except DecodeError:
             raise UserError(f"'{path}' holds something else than curves.") from None
