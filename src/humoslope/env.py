@@ -46,6 +46,7 @@ from humoslope.scene.scene import build_model
 from humoslope.scene.signals import Signals
 from humoslope.scene.tiles import Tiles
 from humoslope.sim import make_simulation
+from humoslope.sim.device import find_device
 from humoslope.sim.divergence import DivergenceRecorder
 from humoslope.strict import StrictCfg
 from humoslope.terrain.grid import TerrainGridCfg, TileRowCfg
@@ -194,7 +195,7 @@ class ManagerBasedRlEnv:
     def __init__(self, cfg: EnvCfg) -> None:
         check_config("env", cfg)
         _check_terms(cfg)
-        if cfg.sim.device in ("auto", "cpu"):
+        if find_device(cfg.sim.backend, cfg.sim.device).type == "cpu":
             require_memory("env.num_envs", cfg.num_envs, _bytes_per_env(cfg))
         self.cfg = cfg
         self.robot = cfg.scene.robot
@@ -430,6 +431,11 @@ class ManagerBasedRlEnv:
             "episodes": {name: getattr(self, name).clone() for name in EPISODES},
             "obs": {name: self._obs[name].clone() for name in self.observations.groups},
         }
+
+    def snapshot_bytes(self) -> int:
+        """Returns about how much memory a snapshot takes, bytes; 0 if there is none."""
+        physics = self.sim.snapshot_bytes()
+        return physics + snapshot.size(*self._remembering(), self.sim.owns) if physics else 0
 
     def restore(self, state: dict[str, Any]) -> None:
         """Goes on from the snapshot of an environment of the same configuration.

@@ -121,7 +121,7 @@ def read_bytes(kind: str, path: Path) -> bytes:
         raise UserError(f"{kind} '{path}' cannot be read: {error.strerror}.") from None
 
 
-def write_bytes(path: Path, content: bytes) -> None:
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
     """Writes a file in one step."""
     write_atomically(path, lambda temporary: temporary.write_bytes(content))
 

@@ -239,12 +239,16 @@ def in_words(hint: Any) -> str:
     return ""
 
 
-@cache
 def hints_of(thing: Callable[..., Any]) -> dict[str, Any]:
     """Type hints of a function's or class's parameters, or of a dataclass's fields, with their declarations.
 
     A name that is only imported for type checkers, such as that of the environment, counts as `Any`.
     """
+    return _hints_of(thing)
+
+
+@cache
+def _hints_of(thing: Any) -> dict[str, Any]:
     if not inspect.isclass(thing):
         return get_type_hints(thing, localns=_Names(getattr(thing, "__globals__", {})), include_extras=True)
     if dataclasses.is_dataclass(thing):

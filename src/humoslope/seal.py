@@ -34,12 +34,22 @@ END = b'"\n}\n'
 SUMS = "SHA256SUMS"
 
 
+def seal(archive: io.BytesIO) -> None:
+    """Gives a zip archive without comment the SHA-256 of its bytes as comment, in place: archives may be large."""
+    with archive.getbuffer() as content:
+        assert content[-END_SIZE : -END_SIZE + 4] == END_OF_ARCHIVE
+    archive.seek(-2, io.SEEK_END)
+    archive.write((len(MARK) + 64).to_bytes(2, "little") + MARK)
+    with archive.getbuffer() as content:
+        digest = hashlib.sha256(content).hexdigest()
+    archive.write(digest.encode())
+
+
 def sealed(archive: bytes) -> bytes:
     """A zip archive without comment, with the SHA-256 of its bytes as comment."""
-    assert archive[-END_SIZE : -END_SIZE + 4] == END_OF_ARCHIVE
-    length = len(MARK) + 64
-    body = archive[:-2] + length.to_bytes(2, "little") + MARK
-    return body + hashlib.sha256(body).hexdigest().encode()
+    buffer = io.BytesIO(archive)
+    seal(buffer)
+    return buffer.getvalue()
 
 
 def is_sealed(content: bytes) -> bool:
@@ -57,8 +67,8 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
     """Writes a sealed NumPy archive in one step."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
-    content = sealed(buffer.getvalue())
-    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+    seal(buffer)
+    write_atomically(path, lambda temporary: temporary.write_bytes(buffer.getbuffer()))
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:

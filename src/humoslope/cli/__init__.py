@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
 from types import FrameType
+from typing import Any, TextIO, cast
 
 from humoslope.errors import UserError, unknown
 from humoslope.interrupts import Terminated, handled
@@ -39,15 +41,18 @@ VERBS = {
 """Each verb is `run(arguments)` in the module of its name."""
 
 
+PRINTING = ("list", "table", "compare", "doctor")
+"""Verbs whose result is what they print. They end when nobody reads it any more; others finish their work."""
 EXIT_CODES = """Exit codes: 0 complete; 2 a mistake, said in one sentence; 130, 143, 129 stopped by Ctrl-C, SIGTERM or
-SIGHUP, with what was done kept; 141 nobody reads the output any more; 1 an error of the program, with a traceback."""
+SIGHUP, with what was done kept; 141 nobody reads the output any more; 1 an error of the program, with a traceback, or
+something wrong that `check` has found. Under torchrun each process has these codes, and torchrun itself 0 or 1."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs a verb and returns its exit code, see `EXIT_CODES`."""
     arguments = sys.argv[1:] if arguments is None else arguments
     _say_all_characters()
-    code, said = 0, ""
+    code, said, unread = 0, "", 141
     try:
         if not arguments or arguments[0] in ("-h", "--help"):
             _print_help()
@@ -56,15 +61,21 @@ def main(arguments: list[str] | None = None) -> int:
         if verb not in VERBS:
             raise unknown("verb", verb, VERBS)
         run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
-        with handled(_stop):
+        unread = 141 if verb in PRINTING else 0
+        # A training sees to its terminal itself.
+        with handled(_stop), nullcontext() if verb in (*PRINTING, "train") else _without_readers():
             run(rest)
     except UserError as error:
-        code, said = 2, str(error)
+        code, said = 2, "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(error))
     except Terminated as stop:
         code, said = stop.exit_code, "interrupted." if stop.exit_code == 130 else "terminated."
     except KeyboardInterrupt:
         code, said = 130, "interrupted."
     except BrokenPipeError:
+        code = 141
+    except SystemExit as stop:  # rich makes one of a pipe that is closed
+        if _said("") and not isinstance(stop.__context__, BrokenPipeError):
+            raise
         code = 141
     except (MemoryError, RuntimeError) as error:
         code, said = 2, _said_of_memory(error)
@@ -74,7 +85,38 @@ def main(arguments: list[str] | None = None) -> int:
         if error.strerror is None:
             raise
         code, said = 2, f"{error.strerror}{'' if error.filename is None else f': {error.filename}'}."
-    return code if _said(said) or code else 141
+    return code if _said(said) or code else unread
+
+
+class _Unread:
+    """A stream whose reader may go away: what is written from then on is lost."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with suppress(BrokenPipeError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(BrokenPipeError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def _without_readers() -> Iterator[None]:
+    """Lets the work inside go on when nobody reads what it prints any more."""
+    before = sys.stdout
+    if before is not None:
+        sys.stdout = cast("TextIO", _Unread(before))
+    try:
+        yield
+    finally:
+        sys.stdout = before
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

@@ -186,6 +186,9 @@ class _Both:
             self._file.flush()
 
     def _write_file(self, text: str) -> None:
+        if self._file is not None and not self._path.exists():  # the folder was removed
+            self._file.close()
+            self._file = None
         if self._file is None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._path.open("a", encoding="utf-8")

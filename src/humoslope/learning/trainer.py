@@ -6,7 +6,7 @@ import hashlib
 import math
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from humoslope.learning.learner import Learner, Transition
 from humoslope.learning.logger import CurveWriter, ProgressLine
 from humoslope.learning.policy import load_weights, parent_record, spec_of, spec_state
 from humoslope.learning.rng import restore_rng, rng_state, seed_everything
+from humoslope.memory import free_memory
 from humoslope.packing import pack
 from humoslope.provenance import commit
 from humoslope.registry import TaskCfg
@@ -47,6 +48,7 @@ class Trainer:
     Attributes:
         iteration: Number of iterations that are done.
         stopped_by: The signal that ended the last `train` early, 0 if none did.
+        on_lost_folder: Called when the run folder was removed, before a checkpoint makes it anew.
 
     Raises:
         UserError: If the configuration of the agent is impossible or does not fit the environment.
@@ -74,6 +76,7 @@ class Trainer:
         self._half_learnt = False  # an update has begun that has not ended well
         self.stopped_by = 0
         self._goes_on = False  # the episodes are those of a run that was stopped
+        self.on_lost_folder: Callable[[], object] = lambda: None
 
     def train(self) -> bool:
         """Trains up to the configured number of iterations.
@@ -276,7 +279,7 @@ class Trainer:
         one before it are removed after it.
         """
         content = checkpoint.encoded(path, self.state())
-        state = self.env.snapshot() if self._processes.size == 1 else None
+        state = self._snapshot()
         if state is not None:
             kept = {"checkpoint": hashlib.sha256(content).hexdigest(), "state": state}
             write_bytes(_episodes_of(path), checkpoint.encoded_sealed(kept))
@@ -288,6 +291,21 @@ class Trainer:
         for old in path.parent.glob(f"{EPISODES}_*.pt"):
             if old != _episodes_of(path):
                 old.unlink(missing_ok=True)
+
+    def _snapshot(self) -> dict[str, Any] | None:
+        """The state of all episodes; None if it cannot be continued, or there is no memory for it."""
+        if self._processes.size > 1:
+            return None
+        # As a copy, as a file, and once more while that grows.
+        need, free = 3 * self.env.snapshot_bytes(), free_memory(torch.device("cpu"))
+        if need <= free:
+            return self.env.snapshot()
+        self._console.print(
+            f"[yellow]The episodes are not kept: that needs {need / 2**30:.1f} GiB of memory, and only "
+            f"{free / 2**30:.1f} GiB are free. A run that resumes from here begins them anew.[/yellow]",
+            soft_wrap=True,
+        )
+        return None
 
     def _now(self) -> float:
         """The time, s, once the device has done what it was asked for."""
@@ -345,7 +363,11 @@ class Trainer:
             return
         path = self._model_path()
         if not self.run_dir.is_dir():
-            self._console.print(f"[yellow]The run folder {self.run_dir} was removed; it is made anew.[/yellow]")
+            self._console.print(
+                f"[yellow]The run folder {self.run_dir} was removed; it is made anew, without what was in it.[/yellow]"
+            )
+            self.on_lost_folder()
+            curves.renew()
         try:
             self._save_with_episodes(path)
         except UserError as error:

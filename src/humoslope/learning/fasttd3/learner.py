@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -20,6 +21,7 @@ from humoslope.learning.learner import Transition
 from humoslope.learning.networks import Normalisation
 from humoslope.learning.policy import PolicySpec, shapes_of
 from humoslope.learning.symmetry import Mirror, apply
+from humoslope.memory import require_memory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -65,6 +67,7 @@ class FastTd3:
         self.spec = PolicySpec.of(env, "tanh-mlp", (ACTOR,), _actor_settings(cfg))
         self.policy = self.spec.build(env.device)
         ((num_obs,),), num_actions = shapes_of(env, (CRITIC,)), self.spec.num_actions
+        _require_room(env, cfg, num_obs + num_actions)
         self.critics = Critics(num_obs, num_actions, cfg.critic_hidden_dims, cfg.num_atoms).to(env.device)
         self.targets = copy.deepcopy(self.critics).requires_grad_(False)
         self.normalizer = Normalisation(num_obs).to(env.device)  # of the critics' observations
@@ -263,6 +266,23 @@ def _make_replay(env: ManagerBasedRlEnv, cfg: FastTd3Cfg, num_actions: int) -> R
         )
     dtype = torch.float16 if cfg.half_precision_replay else torch.float32
     return Replay(layouts, env.num_envs, num_actions, cfg.buffer_steps, dtype, env.device)
+
+
+def _require_room(env: ManagerBasedRlEnv, cfg: FastTd3Cfg, width: int) -> None:
+    """Raises UserError unless the critics and a batch fit into the free memory, by low estimates.
+
+    Args:
+        width: Size of what a critic reads.
+    """
+    dims = (width, *cfg.critic_hidden_dims, cfg.num_atoms)
+    weights = sum(a * b for a, b in pairwise(dims))
+    # Two critics and their slow copies; gradients and two moments of AdamW for the former; in single precision.
+    require_memory("the number of a critic's weights", weights, (2 * 4 + 2) * 4, device=env.device)
+    # Observations of both ends, rows of a window's steps, what both critics' layers keep for their gradients, and four
+    # distributions of each while they are projected.
+    each = 4 * (2 * width + 2 * sum(cfg.critic_hidden_dims) + 8 * cfg.num_atoms) + 8 * 3 * cfg.n_step
+    more = f" with {cfg.num_atoms} atoms and returns of {cfg.n_step} steps"
+    require_memory("agent.batch_size", cfg.batch_size, each, more, env.device)
 
 
 def _half_mirrored(batch: Batch, mirror: Mirror) -> Batch:
