@@ -214,9 +214,9 @@ def _limited_memory() -> Iterator[None]:
 
 
 def _speaks_of(said: str, options: list[str]) -> bool:
-    """True if a message of the parser, which is broken into lines in a box, has the option or one of its words."""
+    """True if a message of the parser, which is broken into lines in a box, has the option or a word that it got."""
     squeezed = re.sub(r"[^\w.-]", "", said)
-    return any(re.sub(r"[^\w.-]", "", word)[:40] in squeezed for word in options[:1] or [""])
+    return any(re.sub(r"[^\w.-]", "", word)[:40] in squeezed for word in options)
 
 
 def _hang(number: int, frame: FrameType | None) -> None:
