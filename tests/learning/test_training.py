@@ -218,6 +218,26 @@ def test_a_closed_pipe_does_not_end_a_training(task, tiny, tmp_path):
     assert checkpoint.load(tmp_path / "run" / "model_1.pt")["iteration"] == 1
 
 
+def test_a_run_folder_that_is_removed_midway_is_made_anew_with_all_that_belongs_into_it(
+    task, tiny, tmp_path, monkeypatch, capsys
+):
+    run, calls, own = tmp_path / "run", [], PpoLearner.update
+
+    def update(learner, obs):
+        calls.append(1)
+        if len(calls) == 2:
+            shutil.rmtree(run)
+        return own(learner, obs)
+
+    monkeypatch.setattr(PpoLearner, "update", update)
+    assert main(["train", task, "--run-dir", str(run), *tiny, "--agent.max-iterations", "4"]) == 0
+    assert "was removed; it is made anew, without what was in it" in capsys.readouterr().out.replace("\n", " ")
+    assert checkpoint.load(run / "model_3.pt")["iteration"] == 3
+    assert option_groups(saved_options(run))["--agent.max-iterations"][1:] == ["4"]
+    assert list(read_curves(run)["Perf/total_steps"])[-1] == 3
+    assert "4/4" in (run / "console.log").read_text()
+
+
 @pytest.mark.parametrize(("where", "saved"), [("act", "model_1.pt"), ("update", "model_0.pt")])
 def test_an_error_ends_a_run_with_its_state_saved_or_the_last_good_one_named(
     task, tiny, tmp_path, monkeypatch, capsys, where, saved

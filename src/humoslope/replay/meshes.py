@@ -13,6 +13,7 @@ import trimesh
 
 from humoslope.errors import UserError
 from humoslope.files import temporary_folder, write_text
+from humoslope.interrupts import die_with_parent
 from humoslope.replay.shapes import Shape, joined
 from humoslope.scene.robot import MeshSource
 from humoslope.seal import SUMS, check_sums, write_sums
@@ -87,7 +88,8 @@ def _download(source: MeshSource, folder: Path) -> Path:
     wanted.write_text(f"{source.package}=={source.version} --hash=sha256:{source.sha256}\n")
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--disable-pip-version-check"]
     options = ["--only-binary", ":all:", "--require-hashes", "--requirement", str(wanted), "--dest", str(folder)]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    words = [*command, *options]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, preexec_fn=die_with_parent)
     if done.returncode:
         if "DO NOT MATCH THE HASHES" in done.stderr:
             raise UserError(
