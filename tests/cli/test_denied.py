@@ -5,20 +5,18 @@ from __future__ import annotations
 import os
 import resource
 import shutil
-import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from humoslope.cli import main
 from humoslope.errors import UserError
 from humoslope.learning.run_folder import saved_options
+from tests import processes
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
 NOBODY = 65534
-Deny = Callable[..., str]
 
 
 @pytest.fixture
@@ -29,47 +27,36 @@ def place() -> Iterator[Path]:
         yield Path(name)
 
 
-@pytest.fixture
-def as_nobody(place: Path) -> Deny:
-    """Runs a command in a child of this process that no longer belongs to root, after `limit` was called there; returns
-    the one sentence that it says."""
-
-    def run(*arguments: str, limit: Callable[[], object] = lambda: None) -> str:
-        child, errors = os.fork(), place / "stderr"
-        if child == 0:
-            code = 70
-            try:
-                sys.stderr = errors.open("w")
-                if os.getuid() == 0:
-                    os.setuid(NOBODY)
-                limit()
-                code = main(list(arguments))
-            finally:
-                sys.stderr.flush()
-                os._exit(code)
-        _, status = os.waitpid(child, 0)
-        said = errors.read_text()
-        assert os.waitstatus_to_exitcode(status) == 2, said
-        assert said.startswith("humoslope: ")
-        assert said.count("\n") == 1
-        return said
-
-    return run
+def become_nobody() -> None:
+    if os.getuid() == 0:
+        os.setuid(NOBODY)
 
 
-def test_a_run_in_a_folder_that_one_cannot_write_to_is_not_resumed(as_nobody: Deny, place: Path, untrained) -> None:
+def test_a_run_in_a_folder_that_one_cannot_write_to_is_not_resumed(place: Path, untrained: Path) -> None:
     shutil.copy(untrained, place / "model_0.pt")
+    (place / "model_0.pt").chmod(0o644)
     place.chmod(0o555)
-    said = as_nobody("train", TASK, "--resume", str(place))
-    assert f"cannot write '{place}/config.json': '{place}' is no folder one can write to." in said
-    assert [path.name for path in place.iterdir() if path.name != "stderr"] == ["model_0.pt"]
+    done = processes.start("train", TASK, "--resume", str(place), prepare=become_nobody).wait()
+    said = f"humoslope: cannot write '{place}/config.json': '{place}' is no folder one can write to.\n"
+    assert (done.returncode, done.stderr) == (2, said)
+    assert [path.name for path in place.iterdir()] == ["model_0.pt"]
+
+
+@pytest.fixture
+def nobody() -> Iterator[None]:
+    """What is done meanwhile is done without root's rights to read everything."""
+    if (was := os.geteuid()) == 0:
+        os.seteuid(NOBODY)
+    yield
+    os.seteuid(was)
 
 
 @pytest.mark.parametrize("verb", [["ramps"], ["train", TASK, "--init"]], ids=lambda verb: verb[0])
-def test_a_checkpoint_that_one_may_not_read_is_not_called_broken(as_nobody: Deny, place: Path, untrained, verb) -> None:
+def test_a_checkpoint_that_one_may_not_read_is_not_called_broken(mistake, place: Path, untrained: Path, verb, request):
     shutil.copy(untrained, place / "model_0.pt")
     (place / "model_0.pt").chmod(0)
-    said = as_nobody(*verb, str(place / "model_0.pt"))
+    request.getfixturevalue("nobody")
+    said = mistake(*verb, str(place / "model_0.pt"))
     assert f"checkpoint '{place}/model_0.pt' cannot be read: Permission denied." in said
 
 
@@ -82,20 +69,21 @@ def test_a_checkpoint_that_one_may_not_read_is_not_called_broken(as_nobody: Deny
     ],
     ids=["proc", "long", "file"],
 )
-def test_a_folder_that_cannot_be_made_is_named(as_nobody: Deny, place: Path, name, said) -> None:
+def test_a_folder_that_cannot_be_made_is_named(mistake, place: Path, name: str, said: str) -> None:
     (place / "file").touch()
-    assert said in as_nobody("train", TASK, "--preset", "cpu", "--run-dir", name.format(place=place))
+    assert said in mistake("train", TASK, "--preset", "cpu", "--run-dir", name.format(place=place))
 
 
-def test_too_few_file_handles_are_said(as_nobody: Deny, place: Path, untrained) -> None:
+def test_too_few_file_handles_are_said(mistake, place: Path, untrained: Path) -> None:
     shutil.copy(untrained, place / "model_0.pt")
-    (place / "model_0.pt").chmod(0o644)
-
-    def few() -> None:
-        opened = len(os.listdir("/proc/self/fd"))
-        resource.setrlimit(resource.RLIMIT_NOFILE, (opened - 1, opened - 1))
-
-    assert "Too many open files" in as_nobody("ramps", str(place / "model_0.pt"), limit=few)
+    assert "is a folder" in mistake("ramps", str(place / "model_0.pt"), "--out", str(place))  # all is imported
+    limits, opened = resource.getrlimit(resource.RLIMIT_NOFILE), len(os.listdir("/proc/self/fd"))
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (opened - 1, limits[1]))
+        said = mistake("ramps", str(place / "model_0.pt"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert "Too many open files" in said
 
 
 @pytest.mark.parametrize("content", [b'--env.seed "1', b"--env.seed \xff"], ids=["open quote", "not UTF-8"])

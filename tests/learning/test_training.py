@@ -218,6 +218,17 @@ def test_a_closed_pipe_does_not_end_a_training(task, tiny, tmp_path):
     assert checkpoint.load(tmp_path / "run" / "model_1.pt")["iteration"] == 1
 
 
+def test_episodes_that_memory_has_no_room_for_are_not_kept_and_that_is_said(task, tiny, tmp_path, monkeypatch, capsys):
+    run = tmp_path / "run"
+    monkeypatch.setattr("humoslope.learning.trainer.free_memory", lambda device: 1000)
+    assert main(["train", task, "--run-dir", str(run), *tiny, "--agent.max-iterations", "1"]) == 0
+    assert "The episodes are not kept: that needs 0.0 GiB of memory" in capsys.readouterr().out
+    assert [path.name for path in run.glob("*.pt")] == ["model_0.pt"]
+    monkeypatch.undo()
+    assert main(["train", task, "--resume", str(run), "--agent.max-iterations", "2"]) == 0
+    assert "there is no episodes_0.pt beside it" in capsys.readouterr().out.replace("\n", " ")
+
+
 def test_a_run_folder_that_is_removed_midway_is_made_anew_with_all_that_belongs_into_it(
     task, tiny, tmp_path, monkeypatch, capsys
 ):

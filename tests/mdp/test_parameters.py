@@ -12,6 +12,7 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.managers.terms import bind
 from humoslope.registry import all_tasks, build_task, load_content
+from humoslope.terrain.grid import TerrainGridCfg
 
 load_content()
 TASKS = list(all_tasks())
@@ -152,6 +153,17 @@ def test_no_name_of_any_term_may_match_nothing(refusal):
                         assert said.startswith(f"{kind} '{name}': ")
                     seen.add(key)
     assert seen == NAMES
+
+
+def test_a_wrong_parameter_is_refused_before_anything_is_built(make_stage1, monkeypatch):
+    monkeypatch.setattr(TerrainGridCfg, "build", None)
+    for change in (
+        lambda cfg: cfg.rewards.zmp.params.update(sigma=NAN),
+        lambda cfg: cfg.observations.critic.terms.joint_pos_rel.params.update(measured="maybe"),
+        lambda cfg: cfg.curriculum.harness.params.update(rate=INF),
+    ):
+        with pytest.raises(UserError, match="it must be"):
+            make_stage1(2, change)
 
 
 @pytest.mark.parametrize(
