@@ -90,13 +90,13 @@ def test_what_a_world_remembers_is_refused_where_it_does_not_fit(
 
     def build() -> None:
         def small(cfg: EnvCfg) -> None:
-            cfg.scene.terrain = TerrainGridCfg(columns={"flat": 1.0}, levels=1, num_columns=1, cell=0.5)
+            cfg.scene.terrain = TerrainGridCfg(columns={"flat": 1.0}, levels=1, num_columns=1, cell=0.5, border=1.0)
             change(cfg)
             monkeypatch.setattr("humoslope.env._bytes_per_env", lambda cfg: 10_000)
 
         make_stage1(2, small)
 
-    room = 19_999 if what.startswith("env") else 150_000
+    room = 19_999 if what.startswith("env") else 90_000
     said = refused(monkeypatch, room, build)
     assert said.startswith(what)
     fits = int(re.search(r"enough for ([\d,]+)", said)[1].replace(",", ""))  # type: ignore[index]

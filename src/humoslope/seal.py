@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -94,6 +95,16 @@ def sealed_json(report: Mapping[str, Any]) -> str:
     body = json.dumps({**report}, indent=2, allow_nan=False).encode().removesuffix(b"\n}") + LAST_ENTRY
     digest = hashlib.sha256(body).hexdigest()
     return f'{body.decode()}{digest}"\n}}\n'
+
+
+def finite(value: Any) -> Any:
+    """A report of what was measured, in which numbers that are not finite, such as those of a simulation that has
+    diverged, are None: JSON has no others."""
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_json(path: Path, report: Mapping[str, Any]) -> None:

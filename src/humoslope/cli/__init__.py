@@ -43,6 +43,7 @@ VERBS = {
 
 PRINTING = ("list", "table", "compare", "doctor")
 """Verbs whose result is what they print. They end when nobody reads it any more; others finish their work."""
+HELP = ("-h", "--help")
 EXIT_CODES = """Exit codes: 0 complete; 2 a mistake, said in one sentence; 130, 143, 129 stopped by Ctrl-C, SIGTERM or
 SIGHUP, with what was done kept; 141 nobody reads the output any more; 1 an error of the program, with a traceback, or
 something wrong that `check` has found. Under torchrun each process has these codes, and torchrun itself 0 or 1."""
@@ -54,16 +55,14 @@ def main(arguments: list[str] | None = None) -> int:
     _say_all_characters()
     code, said, unread = 0, "", 141
     try:
-        if not arguments or arguments[0] in ("-h", "--help"):
-            _print_help()
-            return 0
-        verb, rest = arguments[0], arguments[1:]
-        if verb not in VERBS:
+        verb, rest = (arguments or ["--help"])[0], arguments[1:]
+        if verb not in (*VERBS, *HELP):
             raise unknown("verb", verb, VERBS)
-        run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
-        unread = 141 if verb in PRINTING else 0
+        prints_only = verb in (*PRINTING, *HELP) or not {*rest}.isdisjoint(HELP)
+        unread = 141 if prints_only else 0
+        run: Callable[[list[str]], None] = _print_help if verb in HELP else _verb(verb)
         # A training sees to its terminal itself.
-        with handled(_stop), nullcontext() if verb in (*PRINTING, "train") else _without_readers():
+        with handled(_stop), nullcontext() if prints_only or verb == "train" else _without_readers():
             run(rest)
     except UserError as error:
         code, said = 2, "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(error))
@@ -73,10 +72,10 @@ def main(arguments: list[str] | None = None) -> int:
         code, said = 130, "interrupted."
     except BrokenPipeError:
         code = 141
-    except SystemExit as stop:  # rich makes one of a pipe that is closed
+    except SystemExit as stop:  # rich makes one of a closed pipe
         if _said("") and not isinstance(stop.__context__, BrokenPipeError):
             raise
-        code = 141
+        code = unread or int(stop.code or 0)
     except (MemoryError, RuntimeError) as error:
         code, said = 2, _said_of_memory(error)
         if not said:
@@ -86,6 +85,11 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         code, said = 2, f"{error.strerror}{'' if error.filename is None else f': {error.filename}'}."
     return code if _said(said) or code else unread
+
+
+def _verb(name: str) -> Callable[[list[str]], None]:
+    run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{name}").run
+    return run
 
 
 class _Unread:
@@ -154,7 +158,7 @@ def _said_of_memory(error: Exception) -> str:
     return ""
 
 
-def _print_help() -> None:
+def _print_help(_: list[str]) -> None:
     width = max(map(len, VERBS))
     print("humoslope VERB [...]; humoslope VERB --help lists its options.\n")
     for verb, line in VERBS.items():

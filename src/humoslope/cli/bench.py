@@ -27,7 +27,7 @@ from humoslope.learning.benchmark import RANDOM_STD, Measurement, measure
 from humoslope.presets import Preset
 from humoslope.ranges import Checked, Count, NotEmpty
 from humoslope.registry import all_tasks, load_content
-from humoslope.seal import write_json
+from humoslope.seal import finite, write_json
 
 TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 envs; below 2,048 MiB at 4096."
 
@@ -81,7 +81,7 @@ def run(arguments: list[str]) -> None:
         console.print(f"  {size} envs: {median(results[-1].env):,.0f} steps/s", highlight=False)
     if options.out:
         report = _report(task, typed, options, driver, load, results)
-        write_json(Path(options.out), report)
+        write_json(Path(options.out), finite(report))
     console.print(speed_table(results, options.preset), descriptor_table(results), parts_table(results))
     if options.out:
         console.print(f"wrote {options.out}", soft_wrap=True)

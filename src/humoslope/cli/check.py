@@ -28,7 +28,7 @@ from humoslope.learning import checkpoint as checkpoints
 from humoslope.learning.benchmark import Measurement
 from humoslope.presets import Preset
 from humoslope.registry import TaskCfg, all_tasks, load_content
-from humoslope.seal import write_json
+from humoslope.seal import finite, write_json
 from humoslope.sim.device import find_device
 
 Backend = Literal["auto", "native", "warp"]
@@ -122,7 +122,7 @@ def run(arguments: list[str]) -> None:
             "checks": {name: [dataclasses.asdict(finding) for finding in group] for name, group in findings.items()},
             "speeds": [dataclasses.asdict(speed) for speed in speeds],
         }
-        write_json(Path(options.out), report)
+        write_json(Path(options.out), finite(report))
         console.print(f"wrote {options.out}", soft_wrap=True)
     if wrong:
         sys.exit(1)

@@ -20,7 +20,7 @@ from humoslope.deploy.onboard.unitree_link import PERIOD_S, UnitreeRobot, load_s
 from humoslope.deploy.player import STEEPEST
 from humoslope.errors import UserError, require_positive
 from humoslope.files import check_place
-from humoslope.seal import write_json
+from humoslope.seal import finite, write_json
 
 BEHIND_S = 0.1
 """Time by which the simulation may fall behind before it gives up catching up, s."""
@@ -95,7 +95,7 @@ def run(arguments: list[str]) -> None:
     with signals_set(stop):
         _live(robot, side, person, happened, options.seconds or float("inf"), stop, pace)
     if options.out is not None:
-        write_json(options.out, happened.result())
+        write_json(options.out, finite(happened.result()))
 
 
 def _live(
