@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -160,8 +161,13 @@ def _bytes_per_env(cfg: EnvCfg) -> float:
 def _check_terms(cfg: EnvCfg) -> None:
     """Checks the parameters of every term against their ranges, as `bind` does again with the environment at hand: a
     wrong one is not worth the seconds in which a terrain is drawn."""
-    kinds = {"reward": cfg.rewards, "termination": cfg.terminations, "event": cfg.events}
-    kinds |= {"curriculum": cfg.curriculum, "observer": cfg.observers}
+    kinds: dict[str, Mapping[str, TermCfg]] = {
+        "reward": cfg.rewards,
+        "termination": cfg.terminations,
+        "event": cfg.events,
+        "curriculum": cfg.curriculum,
+        "observer": cfg.observers,
+    }
     named = [(kind, name, term) for kind, terms in kinds.items() for name, term in terms.items()]
     named += [("observation", name, term) for group in cfg.observations.values() for name, term in group.terms.items()]
     for kind, name, term in named:
