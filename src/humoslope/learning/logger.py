@@ -31,13 +31,14 @@ class CurveWriter:
     """
 
     def __init__(self, folder: Path | None, agent: AgentCfg) -> None:
-        self._folder, self._writer = folder, None
+        self._folder = folder
+        self._writer: Any = None
         if folder is None:
             return
         if agent.logger == "wandb":
             from rsl_rl.utils.wandb_log_writer import WandbLogWriter
 
-            self._writer: Any = WandbLogWriter(str(folder), agent.wandb_project)
+            self._writer = WandbLogWriter(str(folder), agent.wandb_project)
         else:
             self.renew()
 
