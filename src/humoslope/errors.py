@@ -11,7 +11,13 @@ LISTED = 20
 
 
 class UserError(Exception):
-    """User error with a message of one sentence, which the command line prints alone before it exits with code 2."""
+    """User error with a message of one sentence, which the command line prints alone before it exits with code 2.
+
+    A message is one line whatever was typed: characters that are not printed are written as in Python's texts.
+    """
+
+    def __str__(self) -> str:
+        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in super().__str__())
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:

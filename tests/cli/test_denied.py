@@ -77,9 +77,10 @@ def test_a_folder_that_cannot_be_made_is_named(mistake, place: Path, name: str, 
 def test_too_few_file_handles_are_said(mistake, place: Path, untrained: Path) -> None:
     shutil.copy(untrained, place / "model_0.pt")
     assert "is a folder" in mistake("ramps", str(place / "model_0.pt"), "--out", str(place))  # all is imported
-    limits, opened = resource.getrlimit(resource.RLIMIT_NOFILE), len(os.listdir("/proc/self/fd"))
+    limits, lowest = resource.getrlimit(resource.RLIMIT_NOFILE), os.dup(0)
+    os.close(lowest)
     try:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (opened - 1, limits[1]))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (lowest, limits[1]))
         said = mistake("ramps", str(place / "model_0.pt"))
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)

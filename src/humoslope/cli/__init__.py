@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
         with handled(_stop), nullcontext() if prints_only or verb == "train" else _without_readers():
             run(rest)
     except UserError as error:
-        code, said = 2, "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(error))
+        code, said = 2, str(error)
     except Terminated as stop:
         code, said = stop.exit_code, "interrupted." if stop.exit_code == 130 else "terminated."
     except KeyboardInterrupt:
