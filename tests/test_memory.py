@@ -86,11 +86,11 @@ def test_a_ground_with_more_heights_than_there_is_room_for_is_refused(monkeypatc
 def test_what_a_world_remembers_is_refused_where_it_does_not_fit(
     make_stage1, monkeypatch, change: Callable[[EnvCfg], Any], what: str
 ) -> None:
-    """Of rising room for the environment, the largest that still refuses is that of the change in question."""
+    """Each in a room that holds all else."""
 
     def build() -> None:
         def small(cfg: EnvCfg) -> None:
-            cfg.scene.terrain = TerrainGridCfg(columns={"flat": 1.0}, levels=1, num_columns=1, cell=0.5, border=1.0)
+            cfg.scene.terrain = TerrainGridCfg(columns={"hillside": 1.0}, levels=1, num_columns=1, cell=0.5, border=1.0)
             change(cfg)
             monkeypatch.setattr("humoslope.env._bytes_per_env", lambda cfg: 10_000)
 

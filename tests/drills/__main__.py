@@ -6,7 +6,9 @@ has changed since. ARGS="--options 100" is shorter. The suite keeps short versio
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import io
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -133,7 +135,8 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     chosen, screen = tyro.cli(Long, prog="make drills"), Console()
     load_content()
-    assert main(["list"]) == 0  # loads what forked processes then need not
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert main(["list"]) == 0  # loads what forked processes then need not
     results = run(chosen, screen)
     screen.print(table(results))
     for one in results:

@@ -23,7 +23,7 @@ from tests.drills.report import Drill
 TASK = "HumoSlope-Stage1-Unitree-G1"
 TINY = [
     *("--preset", "cpu", "--env.num-envs", "8", "--env.sim.device", "cpu", "--env.sim.num-threads", "1"),
-    *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "7"),
+    *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "9"),
     *("--agent.num-steps-per-env", "4", "--agent.num-mini-batches", "2", "--agent.num-learning-epochs", "1"),
     *("--agent.hidden-dims", "16", "16", "--agent.save-interval", "2", "--agent.no-mixed-precision"),
 ]
