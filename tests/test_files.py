@@ -49,6 +49,19 @@ def die(*_: object) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def test_content_is_on_the_disk_before_its_name_and_then_its_name(tmp_path: Path, monkeypatch) -> None:
+    path, synced, own = tmp_path / "walk.json", [], os.fsync
+
+    def fsync(handle: int) -> None:
+        name = os.readlink(f"/proc/self/fd/{handle}")
+        synced.append((Path(name).is_dir(), path.exists()))
+        own(handle)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_text(path, "{}")
+    assert synced == [(False, False), (True, True)]
+
+
 def test_what_a_killed_process_leaves_is_removed_when_the_file_is_written_again(tmp_path: Path) -> None:
     path = tmp_path / "walk.json"
     write_text(path, "first")
