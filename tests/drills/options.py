@@ -15,7 +15,7 @@ import traceback
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 from rich.console import Console
@@ -26,6 +26,7 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.learning.trainer import Trainer
 from humoslope.managers import TermCfg
+from humoslope.ranges import LARGEST, SMALLEST, Range, hints_of
 from humoslope.registry import TaskCfg, all_tasks, build_task
 from humoslope.scene.robot import Robot
 from tests.drills.report import Drill
@@ -71,20 +72,22 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 """Words in place of a number, by what is wrong with them."""
 TEXTS = ("", "(", "nothing", "ü✓", ".*", "../..", "a b", "\n", "x" * 5000, "nan", "-1", "[")
-OF_ANY = (*KINDS, "scaled", "unknown name", "too many", "too few")
+OF_ANY = (*KINDS, "lowest", "highest", "beyond", "scaled", "unknown name", "too many", "too few")
 OF_SEVERAL = (*OF_ANY, "reversed", "one wrong")
 
 
 class Option(NamedTuple):
-    """An option as typed, and the value that the task gives it."""
+    """An option as typed, the value that the task gives it, and its declared range if it is a number with one."""
 
     name: str
     value: Any
+    range: Range | None = None
 
 
 def options_of(task: str) -> list[Option]:
     """Every option of a task, each with its value."""
-    found = [Option(f"--{name}".replace("_", "-"), value) for name, value in _leaves(build_task(task))]
+    leaves = _leaves(build_task(task))
+    found = [Option(f"--{name}".replace("_", "-"), value, range_in(hint)) for name, value, hint in leaves]
     return [option for option in found if option.value is None or isinstance(option.value, int | float | str | tuple)]
 
 
@@ -123,10 +126,10 @@ def generate(count: int, seed: int, tasks: list[str] | None = None) -> Iterator[
     value, so that `count` values spread evenly over options, tasks and kinds.
     """
     rng = random.Random(seed)
-    having: dict[str, dict[str, Any]] = {}
+    having: dict[str, dict[str, Option]] = {}
     for task in tasks or all_tasks():
         for option in options_of(task):
-            having.setdefault(option.name, {})[task] = option.value
+            having.setdefault(option.name, {})[task] = option
     names, used = sorted(having), Counter[str]()
     rng.shuffle(names)
     shift = {name: rng.randrange(len(OF_SEVERAL)) for name in names}
@@ -134,7 +137,7 @@ def generate(count: int, seed: int, tasks: list[str] | None = None) -> Iterator[
         turn, name = i // len(names), names[i % len(names)]
         task = min(having[name], key=lambda task: (used[task], rng.random()))
         used[task] += 1
-        yield task, _words(Option(name, having[name][task]), shift[name] + turn, rng)
+        yield task, _words(having[name][task], shift[name] + turn, rng)
 
 
 def judge(task: str, options: list[str]) -> tuple[str, str]:
@@ -198,6 +201,8 @@ def _work_of(agent: Any) -> float:
     """How much an iteration does, in passes through networks as large as `small` makes them."""
     numbers = ("num_steps_per_env", "num_learning_epochs", "num_updates", "n_step")
     work = math.prod(getattr(agent, name, 1) for name in numbers) * getattr(agent, "batch_size", 16) / 16
+    if getattr(agent, "torch_compile", False):
+        return math.inf  # compiling takes minutes
     return work * max(1.0, sum(agent.hidden_dims) / 1000) ** 2  # type: ignore[no-any-return]
 
 
@@ -223,28 +228,40 @@ def _hang(number: int, frame: FrameType | None) -> None:
     raise TimeoutError
 
 
-def _leaves(cfg: TaskCfg) -> Iterator[tuple[str, Any]]:
-    waiting: list[tuple[str, Any]] = [("env", cfg.env), ("agent", cfg.agent)]
+def range_in(hint: Any) -> Range | None:
+    """The range that a type hint declares for a number, or for each of several."""
+    for part in getattr(hint, "__metadata__", ()):
+        if isinstance(part, Range):
+            return part
+    return next((found for part in get_args(hint) if (found := range_in(part))), None)
+
+
+def _leaves(cfg: TaskCfg) -> Iterator[tuple[str, Any, Any]]:
+    """Path, value and type hint of everything that an option can set."""
+    waiting: list[tuple[str, Any, Any]] = [("env", cfg.env, None), ("agent", cfg.agent, None)]
     while waiting:
-        path, thing = waiting.pop()
+        path, thing, hint = waiting.pop()
         if isinstance(thing, Robot):
             continue
         if isinstance(thing, TermCfg):
             parameters = inspect.signature(thing.func).parameters
             defaults = {k: p.default for k, p in parameters.items() if p.default is not inspect.Parameter.empty}
-            waiting += [(f"{path}.params.{name}", value) for name, value in (defaults | thing.params).items()]
+            hints = hints_of(thing.func)
+            values = (defaults | thing.params).items()
+            waiting += [(f"{path}.params.{name}", value, hints.get(name)) for name, value in values]
         if dataclasses.is_dataclass(thing):
             names = [field.name for field in dataclasses.fields(thing) if field.name not in ("func", "params")]
-            waiting += [(f"{path}.{name}", getattr(thing, name)) for name in names]
+            hints = hints_of(type(thing))
+            waiting += [(f"{path}.{name}", getattr(thing, name), hints.get(name)) for name in names]
         elif isinstance(thing, Mapping):
-            waiting += [(f"{path}.{name}", value) for name, value in thing.items()]
+            waiting += [(f"{path}.{name}", value, hint) for name, value in thing.items()]
         elif not callable(thing):
-            yield path, thing
+            yield path, thing, hint
 
 
 def _words(option: Option, turn: int, rng: random.Random) -> list[str]:
     """An option as typed, with a value of the kind whose turn it is."""
-    name, value = option
+    name, value, bounds = option
     kinds = OF_SEVERAL if isinstance(value, tuple) else OF_ANY
     kind = kinds[turn % len(kinds)]
     written = _written(value)
@@ -265,9 +282,24 @@ def _words(option: Option, turn: int, rng: random.Random) -> list[str]:
     elif kind == "one wrong":
         words = written or ["1"]
         words[rng.randrange(len(words))] = rng.choice(KINDS[rng.choice(list(KINDS))])
-    else:
+    elif kind in KINDS:
         words = [rng.choice(KINDS[kind])] * max(1, len(written))
+    else:
+        words = [_bound(kind, bounds or Range(), isinstance(value, int))] * max(1, len(written))
     return [name, *words]
+
+
+def _bound(kind: str, bounds: Range, whole: bool) -> str:
+    """The lowest or highest number of a range, or one just beyond it."""
+    low = bounds.low if math.isfinite(bounds.low) else -LARGEST
+    high = bounds.high if math.isfinite(bounds.high) else LARGEST
+    step = 1.0 if whole else max(SMALLEST, 1e-6 * (high - low))
+    number = {
+        "lowest": low + step if bounds.open_low else low,
+        "highest": high - step if bounds.open_high else high,
+        "beyond": high + step,
+    }[kind]
+    return str(round(number) if whole else number)
 
 
 def _written(value: Any) -> list[str]:
