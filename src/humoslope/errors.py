@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable
 
 LISTED = 20
@@ -13,11 +14,13 @@ LISTED = 20
 class UserError(Exception):
     """User error with a message of one sentence, which the command line prints alone before it exits with code 2.
 
-    A message is one line whatever was typed: characters that are not printed are written as in Python's texts.
+    A message is one line of a length that can be read, whatever was typed: characters that are not printed are written
+    as in Python's texts, and quoted words of more than 300 characters are cut.
     """
 
     def __str__(self) -> str:
-        return "".join(c if c.isprintable() else repr(c)[1:-1] for c in super().__str__())
+        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in super().__str__())
+        return re.sub(r"'([^']{60})[^']{240,}'", r"'\1...'", line)
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
