@@ -88,7 +88,7 @@ class Sheet:
 
     def to_rich(self) -> Table:
         """The table for the screen, with a rule before each method of ours."""
-        table = Table(title=self.title, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
+        table = Table(title=self.title or None, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
         table.caption, table.caption_justify = "\n".join(self.notes), "left"
         table.add_column("\nmethod", no_wrap=True)
         group = ""
@@ -127,7 +127,8 @@ class Sheet:
             if whole or _width_of(self._of(first, last + 1).to_rich()) > width:
                 parts.append(self._of(first, last))
                 first = last
-        parts[0], parts[-1] = replace(parts[0], title=self.title), replace(parts[-1], notes=self.notes)
+        parts[0] = replace(parts[0], title=self.title)
+        parts[-1] = replace(parts[-1], notes=self.notes)
         return parts
 
     def _of(self, first: int, last: int) -> Sheet:
