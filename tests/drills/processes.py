@@ -40,6 +40,10 @@ def forked(work: Callable[[], int]) -> int:
     if child:
         return child
     code = 70
+    # As if started in the foreground: under nohup, or in the background of a script, signals would be ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
     try:
         null = os.open(os.devnull, os.O_RDWR)
         for stream in (1, 2):
