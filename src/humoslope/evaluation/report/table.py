@@ -88,7 +88,7 @@ class Sheet:
 
     def to_rich(self) -> Table:
         """The table for the screen, with a rule before each method of ours."""
-        table = Table(title=self.title or None, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
+        table = Table(title=self.title, title_justify="left", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
         table.caption, table.caption_justify = "\n".join(self.notes), "left"
         table.add_column("\nmethod", no_wrap=True)
         group = ""
