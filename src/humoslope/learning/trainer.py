@@ -48,7 +48,7 @@ class Trainer:
     Attributes:
         iteration: Number of iterations that are done.
         stopped_by: The signal that ended the last `train` early, 0 if none did.
-        on_lost_folder: Called when the run folder was removed, before a checkpoint makes it anew.
+        on_lost_folder: Called when the run folder was removed and made anew.
 
     Raises:
         UserError: If the configuration of the agent is impossible or does not fit the environment.
@@ -105,6 +105,7 @@ class Trainer:
                 stopping = False
                 while self.iteration < last and not stopping:
                     values = self.iterate()
+                    self._keep_folder(curves)
                     curves.write(self.iteration - 1, values)
                     line.show(self.iteration - 1, values)
                     self._report_physics(values)
@@ -362,12 +363,6 @@ class Trainer:
         if self.run_dir is None:
             return
         path = self._model_path()
-        if not self.run_dir.is_dir():
-            self._console.print(
-                f"[yellow]The run folder {self.run_dir} was removed; it is made anew, without what was in it.[/yellow]"
-            )
-            self.on_lost_folder()
-            curves.renew()
         try:
             self._save_with_episodes(path)
         except UserError as error:
@@ -375,6 +370,19 @@ class Trainer:
         self._last_saved = path
         curves.flush()
         curves.upload(path, self.iteration - 1)
+
+    def _keep_folder(self, curves: CurveWriter) -> None:
+        """Makes the run folder anew if it was removed: that is no reason to end a training."""
+        if self.run_dir is None or self.run_dir.is_dir():
+            return
+        self._console.print(
+            f"[yellow]The run folder {self.run_dir} was removed; it is made anew, without what was in it.[/yellow]",
+            soft_wrap=True,
+        )
+        self._last_saved = None
+        self.run_dir.mkdir(parents=True, exist_ok=True)
+        self.on_lost_folder()
+        curves.renew()
 
     def _model_path(self) -> Path:
         assert self.run_dir is not None
