@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from humoslope.errors import UserError
-from humoslope.seal import beside, check_sums, finite, is_sealed, read_json, sealed, sealed_json, write_sums
+from humoslope.seal import SUMS, beside, check_sums, finite, is_sealed, read_json, sealed, sealed_json, write_sums
 
 REPORT = {"what": "ramps", "falls": [0, 1], "mean": 0.25, "text": "ü"}
 
@@ -57,6 +57,30 @@ def test_what_is_not_finite_is_null_in_a_report_and_refused_in_a_result() -> Non
     assert finite(measured) == {"a": [1.0, None, [None]], "b": {"c": None, "d": "text", "e": True, "f": None}}
     with pytest.raises(ValueError, match="not JSON compliant"):
         sealed_json(measured)
+
+
+@given(data=st.data())
+def test_a_list_of_checksums_that_lost_or_changed_anything_is_damaged(tmp_path_factory, data) -> None:
+    folder = tmp_path_factory.getbasetemp() / "listed"
+    folder.mkdir(exist_ok=True)
+    for name in ("a.json", "b.json"):
+        (folder / name).write_text(name)
+    write_sums(folder, ["a.json", "b.json"])
+    check_sums(folder)
+    whole = (folder / SUMS).read_bytes()
+    place, value = data.draw(st.integers(0, len(whole) - 1)), data.draw(st.integers(0, 255))
+    for damaged in (whole[:place] + bytes([value]) + whole[place + 1 :], whole[:place]):
+        (folder / SUMS).write_bytes(damaged)
+        if damaged != whole:
+            with pytest.raises(UserError):
+                check_sums(folder)
+
+
+def test_the_list_of_an_earlier_version_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text("a")
+    write_sums(tmp_path, ["a.json"])
+    (tmp_path / SUMS).write_text("".join((tmp_path / SUMS).read_text().splitlines(keepends=True)[1:]))
+    check_sums(tmp_path)
 
 
 def test_a_file_is_compared_with_the_checksum_beside_it(tmp_path: Path) -> None:

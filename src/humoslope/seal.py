@@ -138,9 +138,9 @@ def beside(path: Path) -> str:
 
 
 def write_sums(folder: Path, files: Iterable[str], name: str = SUMS) -> None:
-    """Lists files of a folder with their SHA-256."""
+    """Lists files of a folder with their SHA-256, below a comment with their number, so that no line can be lost."""
     lines = [f"{hashlib.sha256((folder / file).read_bytes()).hexdigest()}  {file}\n" for file in sorted(files)]
-    write_text(folder / name, "".join(lines))
+    write_text(folder / name, f"# files: {len(lines)}\n{''.join(lines)}")
 
 
 def check_sums(folder: Path, advice: str = "export anew, or", name: str = SUMS) -> None:
@@ -161,8 +161,11 @@ def check_sums(folder: Path, advice: str = "export anew, or", name: str = SUMS) 
         lines = path.read_bytes().decode("ascii").splitlines(keepends=True)
     except (OSError, UnicodeDecodeError):
         lines = []
-    listed = [re.fullmatch(r"([0-9a-f]{64})  (\S+)\n", line) for line in lines]
-    if not listed or None in listed:
+    number = re.fullmatch(r"# files: (\d+)\n", lines[0]) if lines else None
+    if number is not None:  # lists of earlier versions do not have it
+        lines = lines[1:]
+    listed = [re.fullmatch(r"([0-9a-f]{64})  ([!-~]+)\n", line) for line in lines]
+    if not listed or None in listed or (number is not None and int(number[1]) != len(listed)):
         raise UserError(f"'{path}' is damaged; {again}.")
     for entry in listed:
         assert entry is not None
