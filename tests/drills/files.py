@@ -6,8 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from humoslope.cli import main
+from humoslope.deploy.gait import Gait
 from humoslope.deploy.player import Trial
-from humoslope.evaluation.margins.run import TrialStore
+from humoslope.evaluation.margins.trials import TrialStore
 from humoslope.evaluation.report.curve import PANELS, STEPS, write_table
 from humoslope.evaluation.swing.file import write_calibration
 from humoslope.evaluation.swing.fit import Bin, SwingFit
@@ -75,9 +76,9 @@ class Made:
     def saved_margins(self) -> Path:
         """Trials of a certificate that were never run."""
         path = self._folder / "margins.trials.json"
-        store = TrialStore(path, "fingerprint")
+        store, gait = TrialStore(path, "fingerprint"), Gait(0.0, 0.3, 0.5, 0.1)
         for i in range(20):
-            store.add(("load", 2.0 * i, 0), Trial(False, 20.0, 10.0, 0.5, 10.0, 0.5, 3.0, 0.0, 0.5, 0.0))
+            store.add(("load", 2.0 * i, 0), Trial(False, 20.0, 10.0, 0.5, 10.0, 0.5, 3.0, 0.0, 0.5, 0.0, gait))
         store.save()
         return path
 

@@ -35,6 +35,7 @@ VERBS = {
     "robot": "Simulate a robot for `humoslope deploy`, on the loopback interface.",
     "doctor": "Find out what is wrong from a walk that `humoslope deploy` recorded.",
     "margins": "Certify the physical conditions up to which an exported policy succeeds.",
+    "accept": "Check whether an exported policy meets what is demanded of one that is to walk on a robot.",
     "bench": "Measure speed and memory.",
     "check": "Check that an installation is right and fast, on a GPU or a CPU.",
 }
@@ -46,7 +47,7 @@ PRINTING = ("list", "table", "compare", "doctor")
 HELP = ("-h", "--help")
 EXIT_CODES = """Exit codes: 0 complete; 2 a mistake, said in one sentence; 130, 143, 129 stopped by Ctrl-C, SIGTERM or
 SIGHUP, with what was done kept; 141 nobody reads the output any more; 1 an error of the program, with a traceback, or
-something wrong that `check` has found. Under torchrun each process has these codes, and torchrun itself 0 or 1."""
+something that `check` or `accept` finds wrong. Under torchrun each process has these codes, and torchrun itself 0 or 1."""
 
 
 def main(arguments: list[str] | None = None) -> int:

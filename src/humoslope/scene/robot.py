@@ -31,6 +31,7 @@ class MeshSource:
     """Python package that carries the visual meshes of a robot.
 
     Attributes:
+        robots: Names of the robots whose links these are, such as one model with and one without contact of its parts.
         package: Name on the package index.
         version: Version on the package index.
         sha256: Checksum of the wheel, hexadecimal.
@@ -39,6 +40,7 @@ class MeshSource:
         licence: Note on the licence of the meshes, for the user.
     """
 
+    robots: tuple[str, ...]
     package: str
     version: str
     sha256: str

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from humoslope.deploy.conditions import NOMINAL, Conditions
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.player import Trial, TrialCfg
+from humoslope.evaluation.margins.trials import Setup
 from humoslope.ranges import Checked, NotNegative
 
 Name = Literal[
@@ -19,13 +19,6 @@ Name = Literal[
     "slope-down", "cross-slope", "yaw-rate", "speed-high", "speed-low", "timestep-fine", "timestep-coarse",
 ]  # fmt: skip
 """Names of the quantities."""
-
-
-class Setup(NamedTuple):
-    """Course, command and conditions of one trial."""
-
-    cfg: TrialCfg
-    conditions: Conditions = NOMINAL
 
 
 @dataclass(frozen=True)
