@@ -47,7 +47,7 @@ PRINTING = ("list", "table", "compare", "doctor")
 HELP = ("-h", "--help")
 EXIT_CODES = """Exit codes: 0 complete; 2 a mistake, said in one sentence; 130, 143, 129 stopped by Ctrl-C, SIGTERM or
 SIGHUP, with what was done kept; 141 nobody reads the output any more; 1 an error of the program, with a traceback, or
-something that `check` or `accept` finds wrong. Under torchrun each process has these codes, and torchrun itself 0 or 1."""
+something that `check` or `accept` finds wrong. Under torchrun each process has these codes, torchrun itself 0 or 1."""
 
 
 def main(arguments: list[str] | None = None) -> int:
