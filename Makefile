@@ -119,7 +119,7 @@ wheel: $(STAMP) ## Build the wheel, which holds all tasks, terrains, robots and 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
 	$(BIN)/python -m pytest $(or $(ARGS),-n auto --dist worksteal --cov --cov-report=term:skip-covered --cov-fail-under=85)
 
-drills: $(STAMP) ## Kill, stop, damage and misuse everything, an hour or two; ARGS="--options 100" is shorter
+drills: $(STAMP) ## Kill, stop, damage and misuse everything; goes on where it was; ARGS="--options 100" is shorter
 	$(BIN)/python -m tests.drills $(ARGS)
 
 lint: $(STAMP) ## Check style and format

@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -54,18 +54,24 @@ class Running:
         return Ended(self._process.exitcode, out, err)
 
 
-def start(*arguments: str, path: Sequence[Path] = (), env: Mapping[str, str] | None = None) -> Running:
+def start(
+    *arguments: str,
+    path: Sequence[Path] = (),
+    env: Mapping[str, str] | None = None,
+    prepare: Callable[[], object] | None = None,
+) -> Running:
     """Starts `humoslope` with these arguments in the present working directory.
 
     Args:
         path: Folders in which modules are looked for before all others.
         env: Environment variables beside the present ones.
+        prepare: Function of a module that is called in the process first.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(LIBRARIES))  # has an effect before the first process alone
     output = TemporaryDirectory(prefix="started-")
     variables = dict(os.environ) | dict(env or {})
-    process = context.Process(target=_humoslope, args=(arguments, output.name, [*map(str, path)], variables))
+    process = context.Process(target=_humoslope, args=(arguments, output.name, [*map(str, path)], variables, prepare))
     process.start()
     return Running(process, output)
 
@@ -75,7 +81,13 @@ def run(*arguments: str, path: Sequence[Path] = ()) -> Ended:
     return start(*arguments, path=path).wait()
 
 
-def _humoslope(arguments: Sequence[str], output: str, path: list[str], variables: dict[str, str]) -> None:
+def _humoslope(
+    arguments: Sequence[str],
+    output: str,
+    path: list[str],
+    variables: dict[str, str],
+    prepare: Callable[[], object] | None,
+) -> None:
     for descriptor, name in ((1, OUT), (2, ERR)):
         os.dup2(os.open(Path(output, name), os.O_WRONLY | os.O_CREAT), descriptor)
     # As if started in the foreground: tests that run in the background would hand down an ignored SIGINT.
@@ -86,6 +98,8 @@ def _humoslope(arguments: Sequence[str], output: str, path: list[str], variables
     os.environ.update(variables)
     sys.path[:0] = path
     sys.argv = ["humoslope", *arguments]
+    if prepare is not None:
+        prepare()
     from humoslope.cli import main
 
     sys.exit(main())

@@ -78,7 +78,11 @@ def test_a_pair_is_in_a_range_if_both_are_and_the_lowest_comes_first(low, high):
 )
 def test_a_range_is_said_in_words(bounds, words):
     assert str(bounds) == words
-    assert bounds.fault("many") == f"it must be {words}"
+    assert bounds.fault("many") == f"it must be {words} (not a number)"
+
+
+PAIR = "it must be (lowest, highest), two finite numbers"
+SIZED = "of a size between 1e-09 and 1,000,000"
 
 
 @dataclass
@@ -112,27 +116,46 @@ class More(Settings):
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("rate", 0.0, "settings.rate is 0; it must be positive."),
-        ("clip", -math.inf, "settings.clip is -inf; it must be positive, or inf for no limit."),
-        ("times", (2.0, 1.0), "settings.times is (2, 1); it must be (lowest, highest), two finite numbers."),
-        ("times", (2.0,), "settings.times is (2); it must be (lowest, highest), two finite numbers."),
+        ("rate", 0.0, "settings.rate is 0; it must be positive (too low)."),
+        ("clip", -math.inf, "settings.clip is -inf; it must be positive, or inf for no limit (too low)."),
+        (
+            "times",
+            (2.0, 1.0),
+            "settings.times is (2, 1); it must be (lowest, highest), two finite numbers (the first is higher).",
+        ),
+        ("times", (2.0,), f"settings.times is (2); {PAIR} (not two numbers)."),
         ("mode", "c", "settings.mode is 'c'; it must be 'a' or 'b'."),
         ("plain", math.nan, "settings.plain is nan; it must be finite."),
-        ("count", 0, "settings.count is 0; it must be 1 or more."),
+        ("count", 0, "settings.count is 0; it must be 1 or more (too low)."),
         ("count", True, "settings.count is True; it must be a whole number."),
+        (
+            "count",
+            10**400,
+            f"settings.count is about 1e400; it must be 1 or more, {SIZED} (too large).",
+        ),
+        ("rate", math.nan, "settings.rate is nan; it must be positive (not finite)."),
         ("count", 1.5, "settings.count is 1.5; it must be a whole number."),
-        ("rate", "many", "settings.rate is 'many'; it must be positive."),
-        ("rate", 1e300, "settings.rate is 1e+300; it must be positive, of a size between 1e-09 and 1,000,000."),
-        ("rate", 1e-300, "settings.rate is 1e-300; it must be positive, of a size between 1e-09 and 1,000,000."),
+        ("rate", "many", "settings.rate is 'many'; it must be positive (not a number)."),
+        (
+            "rate",
+            1e300,
+            f"settings.rate is 1e+300; it must be positive, {SIZED} (too large).",
+        ),
+        (
+            "rate",
+            1e-300,
+            f"settings.rate is 1e-300; it must be positive, {SIZED} (too close to zero).",
+        ),
         ("widths", (), "settings.widths is (); it must have at least one."),
-        ("widths", (8, 0), "settings.widths is (8, 0); of each, it must be between 1 and 64."),
+        ("widths", (8, 0), "settings.widths is (8, 0); of each, it must be between 1 and 64 (too low)."),
         ("widths", 8, "settings.widths is 8; it must be a list."),
-        ("shares", {"a": -1.0}, "settings.shares is {'a': -1.0}; of 'a', it must be 0 or more."),
-        ("perhaps", -1.0, "settings.perhaps is -1; it must be positive."),
-        ("inner", Inner(2.0), "settings.inner.share is 2; it must be between 0 and 1."),
-        ("terms", {"one": Inner(-1.0)}, "settings.terms.one.share is -1; it must be between 0 and 1."),
+        ("shares", {"a": -1.0}, "settings.shares is {'a': -1.0}; of 'a', it must be 0 or more (too low)."),
+        ("perhaps", -1.0, "settings.perhaps is -1; it must be positive (too low)."),
+        ("inner", Inner(2.0), "settings.inner.share is 2; it must be between 0 and 1 (too high)."),
+        ("terms", {"one": Inner(-1.0)}, "settings.terms.one.share is -1; it must be between 0 and 1 (too low)."),
+        ("mode", "c" * 99, f"settings.mode is 'c{'c' * 58}...; it must be 'a' or 'b'."),
         ("text", 3, "settings.text is 3; it must be a text."),
-        ("share", 1.5, "settings.share is 1.5; it must be between 0 and 1."),
+        ("share", 1.5, "settings.share is 1.5; it must be between 0 and 1 (too high)."),
     ],
 )
 def test_a_field_outside_its_range_is_refused_in_one_sentence(name, value, said):
@@ -149,9 +172,12 @@ def function(env: Unknown, level: NotNegative, offset: Finite = 0.0, band: NotNe
 @pytest.mark.parametrize(
     ("params", "said"),
     [
-        ({"level": -1}, "here: level is -1; it must be 0 or more."),
-        ({"level": 1, "offset": math.inf}, "here: offset is inf; it must be a finite number."),
-        ({"level": 1, "band": (-1.0, 0.0)}, "here: band is (-1, 0); it must be (lowest, highest), each 0 or more."),
+        ({"level": -1}, "here: level is -1; it must be 0 or more (too low)."),
+        ({"level": 1, "offset": math.inf}, "here: offset is inf; it must be a finite number (not finite)."),
+        (
+            {"level": 1, "band": (-1.0, 0.0)},
+            "here: band is (-1, 0); it must be (lowest, highest), each 0 or more (too low).",
+        ),
         ({"level": 1, "free": math.nan}, "here: free is nan; it must be finite."),
         ({"level": 1, "free": {"a": [0.0, (math.inf,)]}}, "here: free is {'a': [0.0, (inf,)]}; it must be finite."),
     ],

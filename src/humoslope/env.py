@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -35,7 +36,7 @@ from humoslope.managers import (
     control_steps,
 )
 from humoslope.memory import require_memory
-from humoslope.ranges import Range, Seed, check_config
+from humoslope.ranges import Range, Seed, Timestep, check_config, check_params
 from humoslope.scene.bodies import Bodies
 from humoslope.scene.drives import Drives
 from humoslope.scene.height_scan import HeightScan, HeightScanCfg
@@ -46,6 +47,7 @@ from humoslope.scene.scene import build_model
 from humoslope.scene.signals import Signals
 from humoslope.scene.tiles import Tiles
 from humoslope.sim import make_simulation
+from humoslope.sim.device import find_device
 from humoslope.sim.divergence import DivergenceRecorder
 from humoslope.strict import StrictCfg
 from humoslope.terrain.grid import TerrainGridCfg, TileRowCfg
@@ -73,7 +75,7 @@ class SimCfg(StrictCfg):
             by default. It concerns observations with `measured`.
     """
 
-    timestep: Annotated[float, Range(1e-4, 0.05)] = 0.005
+    timestep: Timestep = 0.005
     decimation: Annotated[int, Range(1, 1000)] = 4
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     backend: Literal["auto", "native", "warp"] = "auto"
@@ -163,6 +165,22 @@ def _functions(cfg: EnvCfg) -> list[Any]:
     return [cfg.command, *(term.func for terms in sets for term in terms.values())]
 
 
+def _check_terms(cfg: EnvCfg) -> None:
+    """Checks the parameters of every term against their ranges, as `bind` does again with the environment at hand: a
+    wrong one is not worth the seconds in which a terrain is drawn."""
+    kinds: dict[str, Mapping[str, TermCfg]] = {
+        "reward": cfg.rewards,
+        "termination": cfg.terminations,
+        "event": cfg.events,
+        "curriculum": cfg.curriculum,
+        "observer": cfg.observers,
+    }
+    named = [(kind, name, term) for kind, terms in kinds.items() for name, term in terms.items()]
+    named += [("observation", name, term) for group in cfg.observations.values() for name, term in group.terms.items()]
+    for kind, name, term in named:
+        check_params(f"{kind} '{name}'", term.func, term.params)
+
+
 class ManagerBasedRlEnv:
     """Environment of N envs that are stepped together; an env whose episode ends is reset within the step.
 
@@ -190,7 +208,8 @@ class ManagerBasedRlEnv:
 
     def __init__(self, cfg: EnvCfg) -> None:
         check_config("env", cfg)
-        if cfg.sim.device in ("auto", "cpu"):
+        _check_terms(cfg)
+        if find_device(cfg.sim.backend, cfg.sim.device).type == "cpu":
             require_memory("env.num_envs", cfg.num_envs, _bytes_per_env(cfg))
         self.cfg = cfg
         self.robot = cfg.scene.robot
@@ -427,6 +446,11 @@ class ManagerBasedRlEnv:
             "episodes": {name: getattr(self, name).clone() for name in EPISODES},
             "obs": {name: self._obs[name].clone() for name in self.observations.groups},
         }
+
+    def snapshot_bytes(self) -> int:
+        """Returns about how much memory a snapshot takes, bytes; 0 if there is none."""
+        physics = self.sim.snapshot_bytes()
+        return physics + snapshot.size(*self._remembering(), self.sim.owns) if physics else 0
 
     def restore(self, state: dict[str, Any]) -> None:
         """Goes on from the snapshot of an environment of the same configuration.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable
 
 LISTED = 20
@@ -11,7 +12,15 @@ LISTED = 20
 
 
 class UserError(Exception):
-    """User error with a message of one sentence, which the command line prints alone before it exits with code 2."""
+    """User error with a message of one sentence, which the command line prints alone before it exits with code 2.
+
+    A message is one line of a length that can be read, whatever was typed: characters that are not printed are written
+    as in Python's texts, and quoted words of more than 300 characters are cut.
+    """
+
+    def __str__(self) -> str:
+        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in super().__str__())
+        return re.sub(r"'([^']{60})[^']{240,}'", r"'\1...'", line)
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
@@ -34,11 +43,15 @@ def require_positive(who: str, **values: float) -> None:
     """Raises a UserError for the first value that is not a positive number; `who` begins the message."""
     for name, value in values.items():
         if not 0.0 < value < math.inf:
-            raise UserError(f"{who}: {name} is {value:g}; it must be positive.")
+            raise UserError(f"{who}: {name} is {value:g}; it must be positive ({_wrong(value)}).")
 
 
 def require_not_negative(who: str, **values: float) -> None:
     """Raises a UserError for the first value that is not a number of at least zero; `who` begins the message."""
     for name, value in values.items():
         if not 0.0 <= value < math.inf:
-            raise UserError(f"{who}: {name} is {value:g}; it must be 0 or more.")
+            raise UserError(f"{who}: {name} is {value:g}; it must be 0 or more ({_wrong(value)}).")
+
+
+def _wrong(value: float) -> str:
+    return "too low" if math.isfinite(value) else "not finite"

@@ -46,6 +46,7 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
             os.fsync(file.fileno())
         temporary.chmod(0o644)
         temporary.replace(path)
+        _fsync(path.parent)
     except BaseException as error:
         temporary.unlink(missing_ok=True)
         for folder in made:
@@ -121,7 +122,7 @@ def read_bytes(kind: str, path: Path) -> bytes:
         raise UserError(f"{kind} '{path}' cannot be read: {error.strerror}.") from None
 
 
-def write_bytes(path: Path, content: bytes) -> None:
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
     """Writes a file in one step."""
     write_atomically(path, lambda temporary: temporary.write_bytes(content))
 
@@ -129,6 +130,16 @@ def write_bytes(path: Path, content: bytes) -> None:
 def write_text(path: Path, text: str) -> None:
     """Writes a text file in one step."""
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _fsync(folder: Path) -> None:
+    """Puts the names in a folder on the disk, or a power cut could bring back the file that was there before."""
+    with suppress(OSError):  # not every file system can
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _is_free(path: Path) -> bool:

@@ -1,8 +1,8 @@
 """Ranges of parameters, declared at the parameter: `speed: NotNegative`, `soft: Annotated[float, Range(0.0, 1.0)]`.
 
 A declaration is the metadata of an `Annotated` type. It serves parameters of terms, which `managers.terms.bind` checks
-when the term is built, and fields of configuration dataclasses, which `check_config` checks before anything is built.
-`--help` shows it, see `in_words`.
+when the term is built; fields of configuration dataclasses, which `check_config` checks before anything is built; and
+options of verbs, which are `Checked`. `--help` shows it, see `in_words`.
 """
 
 from __future__ import annotations
@@ -14,14 +14,30 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints, runtime_checkable
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Protocol,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+    runtime_checkable,
+)
 
 from humoslope.errors import UserError
 
 SMALLEST, LARGEST = 1e-9, 1e6
 """Sizes between which a number other than zero makes sense, in SI units or as a weight: squares and products of such
 numbers stay within single precision."""
+SIZES = ("too close to zero", "too large")
+"""What is wrong with numbers of other sizes."""
+LONGEST = 60
+"""Most characters of a value that a message shows."""
 
 
 @runtime_checkable
@@ -57,18 +73,28 @@ class Range:
     infinite: bool = False
 
     def __contains__(self, value: float) -> bool:
-        if math.isinf(value):
-            return self.infinite and value > 0.0
-        return self._within(value) and self._sized(value)
+        return not self.wrong(value)
 
-    def _within(self, value: float) -> bool:
-        above = value > self.low if self.open_low else value >= self.low
-        below = value < self.high if self.open_high else value <= self.high
-        return above and below  # False for NaN
+    def wrong(self, value: Any) -> str:
+        """What is wrong with a single value in two or three words, such as "too low"; "" if it is in the range."""
+        found = ""
+        if not _is_number(value):
+            found = "not a number"
+        elif not _is_finite(value) and not (self.infinite and value in (math.inf, -math.inf)):
+            found = "not finite"
+        elif value < self.low or (self.open_low and value == self.low):
+            found = "too low"
+        elif value > self.high or (self.open_high and value == self.high):
+            found = "too high"
+        elif value != 0.0 and abs(value) < SMALLEST:
+            found = SIZES[0]
+        elif not self._is_bounded and _is_finite(value) and abs(value) > LARGEST:
+            found = SIZES[1]
+        return found
 
-    def _sized(self, value: float) -> bool:
-        known = math.isfinite(self.high) and math.isfinite(self.low)
-        return value == 0.0 or (abs(value) >= SMALLEST and (known or abs(value) <= LARGEST))
+    @property
+    def _is_bounded(self) -> bool:
+        return math.isfinite(self.low) and math.isfinite(self.high)
 
     def __str__(self) -> str:
         """The range in words, such as "positive" or "between 0 and 1"."""
@@ -89,16 +115,20 @@ class Range:
 
     def fault(self, value: Any, env: Any = None) -> str | None:
         """See `Declaration.fault`."""
-        numbers = value if isinstance(value, tuple | list) else (value,)
-        numeric = all(_is_number(v) for v in numbers)
-        unsized = numeric and any(math.isfinite(v) and not self._sized(v) for v in numbers)
-        size = f", of a size between {SMALLEST:g} and {_in_digits(LARGEST)}" if unsized else ""
-        if isinstance(value, tuple | list):
-            if len(value) == 2 and numeric and all(v in self for v in value) and value[0] <= value[1]:
-                return None
-            each = "two finite numbers" if str(self) == "a finite number" else f"each {self}"
-            return f"it must be (lowest, highest), {each}{size}"
-        return None if numeric and value in self else f"it must be {self}{size}"
+        pair = isinstance(value, tuple | list)
+        wrong = next(filter(None, map(self.wrong, value if pair else (value,))), "")
+        if pair and len(value) != 2:
+            wrong = "not two numbers"
+        elif pair and not wrong and value[0] > value[1]:
+            wrong = "the first is higher"
+        if not wrong:
+            return None
+        asked = str(self)
+        if pair:
+            each = "two finite numbers" if asked == "a finite number" else f"each {asked}"
+            asked = f"(lowest, highest), {each}"
+        size = f", of a size between {SMALLEST:g} and {_in_digits(LARGEST)}" if wrong in SIZES else ""
+        return f"it must be {asked}{size} ({wrong})"
 
 
 Finite = Annotated[float, Range()]
@@ -111,6 +141,9 @@ Span = Annotated[tuple[float, float], Range()]
 """Lowest and highest value of something that is drawn at random."""
 NotNegativeSpan = Annotated[tuple[float, float], Range(0.0)]
 PositiveSpan = Annotated[tuple[float, float], Range(0.0, open_low=True)]
+Count = Annotated[int, Range(1, 1_000_000)]
+Timestep = Annotated[float, Range(1e-4, 0.05)]
+"""A physics step, s."""
 Seed = Annotated[int, Range(0, 2**32 - 1)]
 
 
@@ -176,6 +209,21 @@ def check_config(path: str, cfg: Any) -> None:
                 raise UserError(f"{name} is {_shown(value)}; {fault}.")
 
 
+class Checked:
+    """Base of dataclasses of options: whenever one is made, every field is checked against its declared range.
+
+    Attributes:
+        VERB: What the options are for; messages begin with it.
+    """
+
+    VERB: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        hints = hints_of(type(self))
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            check(self.VERB, field.name, getattr(self, field.name), hints.get(field.name))
+
+
 def in_words(hint: Any) -> str:
     """The declared range of a parameter or field, such as "positive"; "" if its type hint declares none."""
     origin, arguments = get_origin(hint), get_args(hint)
@@ -196,6 +244,11 @@ def hints_of(thing: Callable[..., Any]) -> dict[str, Any]:
 
     A name that is only imported for type checkers, such as that of the environment, counts as `Any`.
     """
+    return _hints_of(thing)
+
+
+@cache
+def _hints_of(thing: Any) -> dict[str, Any]:
     if not inspect.isclass(thing):
         return get_type_hints(thing, localns=_Names(getattr(thing, "__globals__", {})), include_extras=True)
     if dataclasses.is_dataclass(thing):
@@ -283,7 +336,17 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def _is_finite(value: float) -> bool:
+    return isinstance(value, int) or math.isfinite(value)  # a whole number may be too large for a float
+
+
 def _shown(value: Any) -> str:
     if isinstance(value, tuple | list):
-        return f"({', '.join(_shown(v) for v in value)})"
-    return f"{value:g}" if isinstance(value, float) else repr(value)
+        shown = f"({', '.join(_shown(v) for v in value)})"
+    elif isinstance(value, float):
+        shown = f"{value:g}"
+    elif isinstance(value, int) and abs(value) >= 10**20:
+        shown = f"about {'-' if value < 0 else ''}1e{round(math.log10(2) * value.bit_length())}"
+    else:
+        shown = repr(value)
+    return shown if len(shown) <= LONGEST else f"{shown[:LONGEST]}..."

@@ -1,8 +1,12 @@
 """Seals: files that know when they are damaged.
 
 A zip archive (a checkpoint, a rollout, saved trials) carries the SHA-256 of everything before it as its comment; a JSON
-file (results, calibrations) carries it as its last entry. The files of a folder (an export) are listed with theirs in
-`SHA256SUMS`, in the format of `sha256sum`. Files of earlier versions have no seal, and are read without one.
+file (results, calibrations) carries it as its last entry. The files of a folder (an export, the record of a start,
+meshes) are listed with theirs in `SHA256SUMS`, and a table in a file beside it, in the format of `sha256sum`. Files of
+earlier versions have no seal, and are read without one.
+
+All results are sealed, also those that no verb reads again. Not sealed is what is only looked at (figures, films,
+tables for documents, console.log) or has checksums of its own (event files).
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -30,12 +35,22 @@ END = b'"\n}\n'
 SUMS = "SHA256SUMS"
 
 
+def seal(archive: io.BytesIO) -> None:
+    """Gives a zip archive without comment the SHA-256 of its bytes as comment, in place: archives may be large."""
+    with archive.getbuffer() as content:
+        assert content[-END_SIZE : -END_SIZE + 4] == END_OF_ARCHIVE
+    archive.seek(-2, io.SEEK_END)
+    archive.write((len(MARK) + 64).to_bytes(2, "little") + MARK)
+    with archive.getbuffer() as content:
+        digest = hashlib.sha256(content).hexdigest()
+    archive.write(digest.encode())
+
+
 def sealed(archive: bytes) -> bytes:
     """A zip archive without comment, with the SHA-256 of its bytes as comment."""
-    assert archive[-END_SIZE : -END_SIZE + 4] == END_OF_ARCHIVE
-    length = len(MARK) + 64
-    body = archive[:-2] + length.to_bytes(2, "little") + MARK
-    return body + hashlib.sha256(body).hexdigest().encode()
+    buffer = io.BytesIO(archive)
+    seal(buffer)
+    return buffer.getvalue()
 
 
 def is_sealed(content: bytes) -> bool:
@@ -53,8 +68,8 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
     """Writes a sealed NumPy archive in one step."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
-    content = sealed(buffer.getvalue())
-    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+    seal(buffer)
+    write_atomically(path, lambda temporary: temporary.write_bytes(buffer.getbuffer()))
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -71,11 +86,30 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         return dict(archive)
 
 
-def write_json(path: Path, report: Mapping[str, Any]) -> None:
-    """Writes a sealed JSON file in one step."""
+def sealed_json(report: Mapping[str, Any]) -> str:
+    """A report as JSON, with the SHA-256 of what stands before it as last entry.
+
+    Raises:
+        ValueError: If a number is not finite.
+    """
     body = json.dumps({**report}, indent=2, allow_nan=False).encode().removesuffix(b"\n}") + LAST_ENTRY
     digest = hashlib.sha256(body).hexdigest()
-    write_text(path, f'{body.decode()}{digest}"\n}}\n')
+    return f'{body.decode()}{digest}"\n}}\n'
+
+
+def finite(value: Any) -> Any:
+    """A report of what was measured, in which numbers that are not finite, such as those of a simulation that has
+    diverged, are None: JSON has no others."""
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_json(path: Path, report: Mapping[str, Any]) -> None:
+    """Writes a sealed JSON file in one step; see `sealed_json`."""
+    write_text(path, sealed_json(report))
 
 
 def read_json(path: Path) -> Any:
@@ -98,28 +132,40 @@ def read_json(path: Path) -> Any:
     return read
 
 
-def write_sums(folder: Path, files: Iterable[str]) -> None:
-    """Lists files of a folder with their SHA-256."""
+def beside(path: Path) -> str:
+    """Name of the list with the SHA-256 of a single file, which lies beside it."""
+    return f"{path.name}.sha256"
+
+
+def write_sums(folder: Path, files: Iterable[str], name: str = SUMS) -> None:
+    """Lists files of a folder with their SHA-256, below a comment with their number, so that no line can be lost."""
     lines = [f"{hashlib.sha256((folder / file).read_bytes()).hexdigest()}  {file}\n" for file in sorted(files)]
-    write_text(folder / SUMS, "".join(lines))
+    write_text(folder / name, f"# files: {len(lines)}\n{''.join(lines)}")
 
 
-def check_sums(folder: Path) -> None:
+def check_sums(folder: Path, advice: str = "export anew, or", name: str = SUMS) -> None:
     """Compares the files of a folder with their list; a folder without a list passes.
+
+    Args:
+        advice: What to do, for the message, which goes on with ", if a change is meant, remove" the list.
+        name: Name of the list.
 
     Raises:
         UserError: If a file is missing or another one than was listed, or the list itself is damaged.
     """
-    path = folder / SUMS
+    path = folder / name
     if not path.exists():
         return
-    again = f"export anew, or, if a change is meant, remove '{path}'"
+    again = f"{advice}, if a change is meant, remove '{path}'"
     try:
         lines = path.read_bytes().decode("ascii").splitlines(keepends=True)
     except (OSError, UnicodeDecodeError):
         lines = []
-    listed = [re.fullmatch(r"([0-9a-f]{64})  (\S+)\n", line) for line in lines]
-    if not listed or None in listed:
+    number = re.fullmatch(r"# files: (\d+)\n", lines[0]) if lines else None
+    if number is not None:  # lists of earlier versions do not have it
+        lines = lines[1:]
+    listed = [re.fullmatch(r"([0-9a-f]{64})  ([!-~]+)\n", line) for line in lines]
+    if not listed or None in listed or (number is not None and int(number[1]) != len(listed)):
         raise UserError(f"'{path}' is damaged; {again}.")
     for entry in listed:
         assert entry is not None
@@ -129,7 +175,7 @@ def check_sums(folder: Path) -> None:
         except OSError:
             raise UserError(f"'{folder / file}', which '{path}' lists, cannot be read; {again}.") from None
         if found != digest:
-            raise UserError(f"'{folder / file}' is damaged or was changed since it was exported; {again}.")
+            raise UserError(f"'{folder / file}' is damaged or was changed since it was written; {again}.")
 
 
 def _had_seal(content: bytes) -> bool:

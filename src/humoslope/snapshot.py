@@ -43,6 +43,16 @@ def take(roots: Mapping[str, object], others: Iterable[object], is_lent: Callabl
     return memory
 
 
+def size(roots: Mapping[str, object], others: Iterable[object], is_lent: Callable[[Tensor], bool]) -> int:
+    """Bytes of the tensors that `take` would copy."""
+    found = 0
+    for _, holder in _walk(roots, others):
+        for _, value in _items(holder):
+            tensors = value if _is_row(value) else [value] if isinstance(value, Tensor) else []
+            found += sum(tensor.nbytes for tensor in tensors if not is_lent(tensor))
+    return found
+
+
 def put(memory: Memory, roots: Mapping[str, object], others: Iterable[object]) -> None:
     """Gives a memory that was taken to objects of the same structure. Its tensors are theirs from then on."""
     for path, holder in _walk(roots, others):

@@ -43,8 +43,10 @@ def test_demands_that_are_met_end_with_0(exported: Path, tmp_path: Path, monkeyp
 
 
 def test_mistakes_are_said_in_one_sentence(mistake: Callable[..., str], exported: Path, tmp_path: Path) -> None:
-    assert "--trials 0 must be at least 1" in mistake("accept", str(exported), "--trials", "0")
-    assert "--seconds 4 must be above 5, when the first push comes" in mistake(
+    assert "accept: trials is 0; it must be between 1 and 1,000,000" in mistake(
+        "accept", str(exported), "--trials", "0"
+    )
+    assert "accept: seconds is 4; it must be between 5 and 3,600, 5 excluded (too low)" in mistake(
         "accept", str(exported), "--seconds", "4"
     )
     assert "'no.xml' does not exist" in mistake("accept", str(exported), "--model", "no.xml")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import pytest
 
 from humoslope.cli import bench, main
 from humoslope.learning.benchmark import Measurement
+from humoslope.seal import read_json
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
 
@@ -47,7 +47,8 @@ def test_the_table_shows_medians_shares_memory_and_relative_cost(capsys):
 def test_the_file_holds_every_round(tmp_path, capsys):
     out = tmp_path / "new" / "bench.json"
     assert main(["bench", TASK, "--sizes", "8", "--preset", "cpu", "--out", str(out)]) == 0
-    report = json.loads(out.read_text())
+    assert '"sha256": "' in out.read_text()
+    report = read_json(out)
     assert report["task"] == TASK
     assert report["preset"] == "cpu"
     assert report["sizes"][0]["env"] == [4000.0, 4000.0, 800.0]
@@ -65,6 +66,7 @@ def test_a_gpu_is_named_with_its_memory(tmp_path, monkeypatch, capsys):
     assert "Card, 80 GiB" in printed
     assert "4,512" in printed
     assert "Aims of the cpu preset" not in printed
-    report = json.loads(out.read_text())
+    assert '"sha256": "' in out.read_text()
+    report = read_json(out)
     assert report["machine"]["device"] == "Card, 80 GiB"
     assert report["sizes"][0]["card_mib"] == 4512.0

@@ -61,8 +61,8 @@ def test_a_robot_that_cannot_walk_is_refused_with_the_prior_offered_and_nothing_
     ("options", "said"),
     [
         (("--hip", ".*hip.*"), "must match one left and one right joint of unitree_g1"),
-        (("--percentile", "100"), "percentile 100 must be at least 50 and below 100"),
-        (("--grades", "90"), "grade 90 must be between -60 and 60"),
+        (("--percentile", "100"), "percentile is 100; it must be between 50 and 100, 100 excluded"),
+        (("--grades", "90"), "grades is (90); of each, it must be between -60 and 60"),
         (("--swing-force", "0"), "swing_force is 0"),
         (("--out", "."), "is a folder"),
         (("--out", "a.png"), "is where the picture goes; name the JSON file, such as 'a.swing.json'"),

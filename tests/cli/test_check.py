@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from humoslope.cli import check, main
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.learning.benchmark import Measurement
 from humoslope.registry import TaskCfg, build_task
+from humoslope.seal import read_json
 from humoslope.sim.warp import WarpSimulation
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
@@ -38,7 +38,8 @@ def test_the_report_holds_every_finding_and_what_is_right_exits_with_0(monkeypat
     printed = capsys.readouterr().out
     assert "all right" in printed
     assert "WRONG" not in printed
-    report = json.loads(out.read_text())
+    assert '"sha256": "' in out.read_text()
+    report = read_json(out)
     assert report["right"] is True
     assert [len(group) for group in report["checks"].values()] == [1, 2]
 
@@ -53,7 +54,8 @@ def test_what_is_wrong_exits_with_1_and_the_other_checks_still_run(monkeypatch, 
         main(["check", TASK, "--out", str(out)])
     assert exit_.value.code == 1
     assert "2 wrong" in capsys.readouterr().out
-    report = json.loads(out.read_text())
+    assert '"sha256": "' in out.read_text()
+    report = read_json(out)
     assert report["right"] is False
     assert "CUDA error 700" in report["checks"]["a"][0]["measured"]
     assert report["checks"]["c"][0]["right"] is True

@@ -84,7 +84,7 @@ def test_a_policy_walks_in_a_process_of_its_own(folder, untrained, verb, options
         (["train", "HumoSlope-Stage1-Unitree-G2"], f"did you mean '{TASK}'?"),
         (["terrain", "ramp-upp"], "did you mean 'ramp-up'?"),
         (["bench", "HumoSlope-Stage1-Unitree-G2"], f"did you mean '{TASK}'?"),
-        (["bench", TASK, "--sizes", "0"], "sizes and rounds must be at least 1"),
+        (["bench", TASK, "--sizes", "0"], "bench: sizes is (0); of each, it must be between 1 and 1,000,000 (too low)"),
         (["bench", TASK, "--out", "."], "'.' is a folder; name a file in it"),
         (["bench", TASK, "--checkpoint", "none.pt"], "'none.pt' does not exist"),
     ],

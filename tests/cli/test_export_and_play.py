@@ -111,6 +111,6 @@ def test_mistakes_are_said_in_one_sentence(
 
     assert "holds no policy.json; `humoslope export CHECKPOINT` writes one" in mistake("play", str(tmp_path))
     assert "a live walk is one trial; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
-    assert "--grade 70 must be between" in mistake("play", str(exported), "--grade", "70", "--headless")
+    assert "play: grade is 70; it must be between" in mistake("play", str(exported), "--grade", "70", "--headless")
     monkeypatch.setattr("humoslope.deploy.views.has_display", lambda: False)
     assert "there is no display; serve a page for a browser with --view browser" in mistake("play", str(exported))

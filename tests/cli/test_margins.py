@@ -132,7 +132,7 @@ def test_mistakes_are_said_in_one_sentence(
     mistake: Callable[..., str], exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert "at least 52 are needed" in mistake("margins", str(exported), "--trials", "10")
-    assert "--speed 0 must be positive" in mistake("margins", str(exported), "--speed", "0")
+    assert "margins: speed is 0; it must be positive" in mistake("margins", str(exported), "--speed", "0")
     assert "when the first push comes" in mistake("margins", str(exported), "--seconds", "4")
     assert "'no.xml' does not exist" in mistake("margins", str(exported), "--model", "no.xml")
     assert "holds no policy.json" in mistake("margins", str(tmp_path))

@@ -124,7 +124,7 @@ def test_a_configuration_that_names_what_no_longer_exists_is_refused(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--grades", "90"), "grade 90 must be between -60 and 60"),
+        (("--grades", "90"), "grades is (90); of each, it must be between -60 and 60"),
         (("--starts", "0"), "starts is 0"),
         (("--timestep", "0.003"), "does not divide"),
         (("--out", "."), "is a folder"),

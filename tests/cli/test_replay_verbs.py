@@ -129,7 +129,7 @@ def test_what_is_no_rollout_is_said_in_one_sentence(mistake: Callable[..., str],
     [
         (("record", "{checkpoint}", "--terrain", "ramp-upp"), "did you mean 'ramp-up'"),
         (("record", "{checkpoint}", "--grade", "60"), "must be between 0 and 32 degrees"),
-        (("record", "{checkpoint}", "--level", "2"), "level 2 must be between 0 and 1"),
+        (("record", "{checkpoint}", "--level", "2"), "level is 2; it must be between 0 and 1"),
         (("record", "{checkpoint}", "--out", "."), "is a folder"),
         (("record", "nowhere.pt"), "does not exist"),
         (("replay", "{walk}", "--save", "."), "is a folder"),

@@ -6,10 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-OTHERS = ("errors", "extras", "files", "interrupts", "plugins", "screen", "seal", "shipped", "statistics")
+OTHERS = ("errors", "extras", "files", "interrupts", "plugins", "ranges", "screen", "seal", "shipped", "statistics")
 SHARED = {f"humoslope.{name}" for name in OTHERS}
-"""What it may use of the rest: sentences for mistakes, files and their seals, signals, an interval for a share, what is
-installed and shipped, and where something can be shown."""
+"""What it may use of the rest: sentences for mistakes, ranges of options, files and their seals, signals, an interval
+for a share, what is installed and shipped, and where something can be shown."""
 
 CODE = """
 import sys
@@ -29,7 +29,10 @@ def test_playing_imports_no_manager_no_environment_and_no_torch(exported: Path) 
     assert not packages & {"torch", "rsl_rl", "tensordict", "mjbatch", "mujoco_warp", "robots", "terrains", "tasks"}
     ours = {name for name in modules if name.startswith("humoslope.")}
     assert {name for name in ours if not name.startswith(("humoslope.deploy", "humoslope.cli"))} == SHARED
-    assert {name for name in ours if name.startswith("humoslope.cli.")} == {"humoslope.cli.play"}
+    assert {name for name in ours if name.startswith("humoslope.cli.")} == {
+        "humoslope.cli.arguments",
+        "humoslope.cli.play",
+    }
 
 
 def test_what_runs_beside_a_robot_needs_no_torch_either() -> None:

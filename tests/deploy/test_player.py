@@ -217,12 +217,12 @@ def test_a_robot_that_is_asked_to_stand_is_not_asked_to_turn(make_player: Callab
 @pytest.mark.parametrize(
     ("course", "said"),
     [
-        ({"grade": 61.0}, "--grade 61 must be between -60 and 60 degrees"),
-        ({"grade": math.nan}, "--grade nan"),
-        ({"speed": math.inf}, "--speed inf must be at most 10 m/s"),
-        ({"seconds": 0.0}, "--seconds 0 must be positive"),
-        ({"trials": 0}, "--trials 0 must be at least 1"),
-        ({"seed": -1}, "--seed -1 at least 0"),
+        ({"grade": 61.0}, "play: grade is 61; it must be between -60 and 60"),
+        ({"grade": math.nan}, "grade is nan"),
+        ({"speed": math.inf}, "speed is inf; it must be between -10 and 10 \\(not finite\\)"),
+        ({"seconds": 0.0}, "seconds is 0; it must be positive"),
+        ({"trials": 0}, "trials is 0; it must be between 1 and 1,000,000"),
+        ({"seed": -1}, "seed is -1; it must be between 0 and"),
     ],
 )
 def test_an_impossible_course_is_refused(course: dict[str, Any], said: str) -> None:

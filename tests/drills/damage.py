@@ -7,16 +7,18 @@ import io
 import random
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from humoslope.deploy import contract
 from humoslope.errors import UserError
+from humoslope.evaluation.report.curve import read_table
 from humoslope.evaluation.report.results import read_results
 from humoslope.evaluation.swing.file import load_calibration
 from humoslope.learning import checkpoint
+from humoslope.learning.run_folder import saved_options
 from humoslope.replay.rollout import load_rollout
-from humoslope.seal import SUMS, read_arrays, read_json
+from humoslope.seal import beside, read_arrays, read_json
 from tests.drills.report import Drill
 
 FORBIDDEN = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "pty.spawn")
@@ -31,8 +33,15 @@ READERS: dict[str, Reader] = {
     "calibration": load_calibration,
     "saved trials": read_arrays,
     "saved margins": read_json,
+    "curve": read_table,
+    "start": saved_options,
+    "export": contract.read,
 }
-"""What reads each kind of file; what reads saved trials takes an error for "walk them anew"."""
+"""What reads each kind of file or folder."""
+WALKED_ANEW = ("saved trials", "saved margins")
+"""Kinds for which an error of their reader means that they are walked anew, with a word."""
+FILES_OF_FOLDERS = 8
+"""Files in the folders, beyond the one that each kind counts for."""
 
 
 def spoil(content: bytes, rng: random.Random) -> bytes:
@@ -51,40 +60,35 @@ def spoil(content: bytes, rng: random.Random) -> bytes:
     return bytes(damaged)
 
 
-def drill_file(kind: str, path: Path, folder: Path, count: int, seed: int = 0) -> Drill:
-    """Damages a copy of a file `count` times and reads it."""
-    read, rng, content = READERS[kind], random.Random(seed), path.read_bytes()
-    result, copy = Drill(f"damage: {kind}"), folder / path.name
-    copy.write_bytes(content)
-    read(copy)  # whole
-    for _ in range(count):
-        damaged = spoil(content, rng)
-        if damaged != content:
-            copy.write_bytes(damaged)
-            _judge(result, lambda: read(copy))
+def drill_kind(kind: str, whole: Path, scratch: Path, count: int, seed: int = 0) -> Drill:
+    """Damages a copy of a file, or each file in a copy of a folder, `count` times, and reads it; nothing in it may be
+    executed."""
+    result, read, rng = Drill(f"damage: {kind}"), READERS[kind], random.Random(seed)
+    scratch.mkdir(parents=True, exist_ok=True)
+    copy = scratch / whole.name
+    if whole.is_dir():
+        shutil.copytree(whole, copy)
+    else:
+        shutil.copy(whole, copy)
+        for listed in whole.parent.glob(beside(whole)):
+            shutil.copy(listed, scratch)
+    read(copy)
+    files = sorted(path for path in copy.rglob("*") if path.is_file()) if copy.is_dir() else [copy]
+    with watched_execution() as executed:
+        for path in files:
+            content = path.read_bytes()
+            for _ in range(count):
+                damaged = spoil(content, rng)
+                if damaged != content:
+                    path.write_bytes(damaged)
+                    _judge(result, kind, lambda: read(copy))
+            path.write_bytes(content)
+    read(copy)
+    result.failures += [f"executed: {event}" for event in executed]
     return result
 
 
-def drill_export(folder: Path, scratch: Path, count: int, seed: int = 0) -> Drill:
-    """Damages each file of a copy of an export `count` times and reads the export."""
-    copy = shutil.copytree(folder, scratch / "export")
-    contract.read(copy)
-    result, rng = Drill("damage: export"), random.Random(seed)
-    files = [path for path in sorted(copy.rglob("*")) if path.is_file()]
-    assert copy / SUMS in files
-    for path in files:
-        content = path.read_bytes()
-        for _ in range(count):
-            damaged = spoil(content, rng)
-            if damaged != content:
-                path.write_bytes(damaged)
-                _judge(result, lambda: contract.read(copy))
-        path.write_bytes(content)
-    contract.read(copy)
-    return result
-
-
-def _judge(result: Drill, read: Callable[[], object]) -> None:
+def _judge(result: Drill, kind: str, read: Callable[[], object]) -> None:
     try:
         with contextlib.redirect_stderr(io.StringIO()):
             read()
@@ -92,7 +96,7 @@ def _judge(result: Drill, read: Callable[[], object]) -> None:
         sentence = str(error)
         result.add("refused", "" if "\n" not in sentence else f"said: {sentence}")
     except (ValueError, OSError, KeyError) as error:
-        allowed = result.name in ("damage: saved trials", "damage: saved margins")
+        allowed = kind in WALKED_ANEW
         result.add("walked anew" if allowed else "traceback", "" if allowed else repr(error))
     except Exception as error:
         result.add("traceback", repr(error))
@@ -100,8 +104,13 @@ def _judge(result: Drill, read: Callable[[], object]) -> None:
         result.add("accepted", "a damaged file was read without a word")
 
 
-def watch_for_execution() -> list[str]:
-    """A list to which every forbidden event of this process is added from now on."""
+@contextlib.contextmanager
+def watched_execution() -> Iterator[list[str]]:
+    """A list to which every forbidden event of this process is added while inside."""
     seen: list[str] = []
-    sys.addaudithook(lambda event, arguments: seen.append(event) if event in FORBIDDEN else None)
-    return seen
+    watching = [True]
+    sys.addaudithook(lambda event, arguments: seen.append(event) if watching and event in FORBIDDEN else None)
+    try:
+        yield seen
+    finally:
+        watching.clear()

@@ -23,12 +23,14 @@ from tests.drills.report import Drill
 TASK = "HumoSlope-Stage1-Unitree-G1"
 TINY = [
     *("--preset", "cpu", "--env.num-envs", "8", "--env.sim.device", "cpu", "--env.sim.num-threads", "1"),
-    *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "7"),
+    *("--env.scene.terrain.levels", "3", "--env.scene.terrain.num-columns", "9"),
     *("--agent.num-steps-per-env", "4", "--agent.num-mini-batches", "2", "--agent.num-learning-epochs", "1"),
     *("--agent.hidden-dims", "16", "16", "--agent.save-interval", "2", "--agent.no-mixed-precision"),
 ]
-PATIENCE_S = 300.0
-"""Time after which a process hangs, s."""
+PATIENCE_S = 1800.0
+"""Time after which a process hangs, s; most of it is for machines that do other things as well."""
+KILLS, SIGNALS, ROOMS = "SIGKILL, then resume", "INT, TERM, HUP, then resume", "no room for a file"
+"""Names of the drills."""
 
 
 def forked(work: Callable[[], int]) -> int:
@@ -38,6 +40,10 @@ def forked(work: Callable[[], int]) -> int:
     if child:
         return child
     code = 70
+    # As if started in the foreground: under nohup, or in the background of a script, signals would be ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
     try:
         null = os.open(os.devnull, os.O_RDWR)
         for stream in (1, 2):
@@ -91,7 +97,7 @@ def differences(first: Path, second: Path) -> list[str]:
 
 def drill_kills(folder: Path, count: int, seed: int = 0, last: int = 60) -> Drill:
     """Kills a run at random moments, goes on with it each time, and compares it with one that was never stopped."""
-    result, rng = Drill("SIGKILL, then resume"), random.Random(seed)
+    result, rng = Drill(KILLS), random.Random(seed)
     whole, run = folder / "whole", folder / "killed"
     assert ended(forked(lambda: train(whole, last))) == 0
     for _ in range(count):
@@ -123,44 +129,39 @@ def drill_kills(folder: Path, count: int, seed: int = 0, last: int = 60) -> Dril
     return result
 
 
-def drill_signals(folder: Path, count: int) -> Drill:
-    """Stops runs by each signal and goes on with them."""
-    result = Drill("INT, TERM, HUP, then resume")
-    for i in range(count):
-        number = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)[i % 3]
-        run = folder / f"stopped_{i}"
-        child = forked(lambda run=run: train(run, 1_000_000, "--agent.save-interval", "1000000"))  # type: ignore[misc]
-        until = time.monotonic() + PATIENCE_S
-        while newest(run) < 0 and time.monotonic() < until:
-            time.sleep(0.01)
-        time.sleep(0.3)
-        os.kill(child, number)
-        code, at = ended(child), newest(run)
-        fault = "" if code == 128 + number else f"{number.name} gave exit code {code}"
-        fault = fault or ("" if at > 0 and not leftovers(run) else f"newest is {at}, left behind {leftovers(run)}")
-        fault = fault or ("" if ended(forked(lambda run=run, at=at: train(run, at + 3))) == 0 else "does not resume")  # type: ignore[misc]
-        result.add(f"exit code {code}", fault)
+def drill_signal(folder: Path, i: int) -> Drill:
+    """Stops a run by one of the signals, and goes on with it."""
+    result, number, run = Drill(SIGNALS), (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)[i % 3], folder / f"stopped_{i}"
+    child = forked(lambda: train(run, 1_000_000, "--agent.save-interval", "1000000"))
+    until = time.monotonic() + PATIENCE_S
+    while newest(run) < 0 and time.monotonic() < until:
+        time.sleep(0.01)
+    time.sleep(0.3)
+    os.kill(child, number)
+    code, at = ended(child), newest(run)
+    fault = "" if code == 128 + number else f"{number.name} gave exit code {code}"
+    fault = fault or ("" if at > 0 and not leftovers(run) else f"newest is {at}, left behind {leftovers(run)}")
+    fault = fault or ("" if ended(forked(lambda: train(run, at + 3))) == 0 else "does not resume")
+    result.add(f"exit code {code}", fault)
     return result
 
 
-def drill_room(folder: Path, count: int) -> Drill:
-    """Lets runs meet a limit on the size of files, as a full disk is one, at different places."""
-    result = Drill("no room for a file")
-    for i in range(count):
-        run = folder / f"full_{i}"
-        assert ended(forked(lambda run=run: train(run, 3))) == 0  # type: ignore[misc]
-        before = {path: path.read_bytes() for path in run.glob("model_*.pt")}
-        size = 1000 + 40_000 * i
+def drill_room(folder: Path, i: int) -> Drill:
+    """Lets a run meet a limit on the size of files, as a full disk is one; each `i` meets it at another place."""
+    result, run = Drill(ROOMS), folder / f"full_{i}"
+    assert ended(forked(lambda: train(run, 3))) == 0
+    before = {path: path.read_bytes() for path in run.glob("model_*.pt")}
+    size = 1000 + 40_000 * i
 
-        def limited(run: Path = run, size: int = size) -> int:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-            return train(run, 9)
+    def limited() -> int:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+        return train(run, 9)
 
-        code = ended(forked(limited))
-        whole = all(path.read_bytes() == content for path, content in before.items())
-        fault = "" if code in (0, 2) else f"exit code {code}"
-        fault = fault or ("" if whole else "an earlier checkpoint has changed")
-        result.add(f"exit code {code}", fault or (f"left behind {leftovers(run)}" if leftovers(run) else ""))
+    code = ended(forked(limited))
+    whole = all(path.read_bytes() == content for path, content in before.items())
+    fault = "" if code in (0, 2) else f"exit code {code}"
+    fault = fault or ("" if whole else "an earlier checkpoint has changed")
+    result.add(f"exit code {code}", fault or (f"left behind {leftovers(run)}" if leftovers(run) else ""))
     return result
 
 

@@ -76,10 +76,11 @@ def test_two_processes_log_once_save_once_stop_together_and_resume(task, tiny, t
     finally:
         agent.kill()
         agent.wait()
-    assert agent.returncode == 0, said
+    assert agent.returncode != 0, said  # not complete
     last = checkpoint.latest(run)
     done = checkpoint.load(last, task)["iteration"] + 1
     assert said.count(f"Stopped after iteration {done}; saved {last}.") == 1
+    assert said.count("humoslope: interrupted.") == 1
     assert len(list(run.glob("events.out.tfevents.*"))) == 1
     assert list(read_curves(run)["Perf/total_steps"].items()) == [(i, 64.0 * (i + 1)) for i in range(done)]
     assert len(list((run / "starts").iterdir())) == 1

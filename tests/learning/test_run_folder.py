@@ -12,7 +12,9 @@ import pytest
 
 from humoslope.errors import UserError
 from humoslope.learning import run_folder
-from humoslope.learning.run_folder import claimed
+from humoslope.learning.run_folder import claimed, record_start, saved_options
+from humoslope.registry import build_task
+from humoslope.seal import SUMS
 
 HOLD = """
 import sys
@@ -75,3 +77,14 @@ def test_two_runs_that_start_in_the_same_second_have_two_folders(
         assert first == Path("logs/Walk/2026-01-02_03-04-05")
         assert second == Path("logs/Walk/2026-01-02_03-04-05_2")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_record_of_a_start_that_was_changed_is_not_believed(tmp_path):
+    cfg = build_task("HumoSlope-Stage1-Unitree-G1")
+    record_start(tmp_path, "task", cfg, ["--env.seed", "1"], 0, 0, None)
+    assert saved_options(tmp_path) == ["--env.seed", "1"]
+    (tmp_path / "starts" / "1" / "options.txt").write_text("--env.seed 2")
+    with pytest.raises(UserError, match=r"options.txt' is damaged or was changed .*; or, if a change is meant, remove"):
+        saved_options(tmp_path)
+    (tmp_path / "starts" / "1" / SUMS).unlink()
+    assert saved_options(tmp_path) == ["--env.seed", "2"]

@@ -210,12 +210,43 @@ def test_a_closed_pipe_does_not_end_a_training(task, tiny, tmp_path):
     os.close(reading)
     with os.fdopen(writing, "w") as nobody, pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "stdout", nobody)
-        assert main(["train", task, "--run-dir", str(tmp_path / "run"), *tiny, "--agent.max-iterations", "2"]) == 141
+        assert main(["train", task, "--run-dir", str(tmp_path / "run"), *tiny, "--agent.max-iterations", "2"]) == 0
         nobody.close = lambda: None
     console = (tmp_path / "run" / "console.log").read_text()
     assert "The terminal is gone (Broken pipe); training goes on, and this file tells how." in console
     assert "2/2" in console
     assert checkpoint.load(tmp_path / "run" / "model_1.pt")["iteration"] == 1
+
+
+def test_episodes_that_memory_has_no_room_for_are_not_kept_and_that_is_said(task, tiny, tmp_path, monkeypatch, capsys):
+    run = tmp_path / "run"
+    monkeypatch.setattr("humoslope.learning.trainer.free_memory", lambda device: 1000)
+    assert main(["train", task, "--run-dir", str(run), *tiny, "--agent.max-iterations", "1"]) == 0
+    assert "The episodes are not kept: that needs 0.0 GiB of memory" in capsys.readouterr().out
+    assert [path.name for path in run.glob("*.pt")] == ["model_0.pt"]
+    monkeypatch.undo()
+    assert main(["train", task, "--resume", str(run), "--agent.max-iterations", "2"]) == 0
+    assert "there is no episodes_0.pt beside it" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_a_run_folder_that_is_removed_midway_is_made_anew_with_all_that_belongs_into_it(
+    task, tiny, tmp_path, monkeypatch, capsys
+):
+    run, calls, own = tmp_path / "run", [], PpoLearner.update
+
+    def update(learner, obs):
+        calls.append(1)
+        if len(calls) == 2:
+            shutil.rmtree(run)
+        return own(learner, obs)
+
+    monkeypatch.setattr(PpoLearner, "update", update)
+    assert main(["train", task, "--run-dir", str(run), *tiny, "--agent.max-iterations", "4"]) == 0
+    assert "was removed; it is made anew, without what was in it" in capsys.readouterr().out.replace("\n", " ")
+    assert checkpoint.load(run / "model_3.pt")["iteration"] == 3
+    assert option_groups(saved_options(run))["--agent.max-iterations"][1:] == ["4"]
+    assert list(read_curves(run)["Perf/total_steps"])[-1] == 3
+    assert "4/4" in (run / "console.log").read_text()
 
 
 @pytest.mark.parametrize(("where", "saved"), [("act", "model_1.pt"), ("update", "model_0.pt")])

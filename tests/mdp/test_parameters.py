@@ -12,6 +12,7 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.managers.terms import bind
 from humoslope.registry import all_tasks, build_task, load_content
+from humoslope.terrain.grid import TerrainGridCfg
 
 load_content()
 TASKS = list(all_tasks())
@@ -155,12 +156,23 @@ def test_no_name_of_any_term_may_match_nothing(refusal):
     assert seen == NAMES
 
 
+def test_a_wrong_parameter_is_refused_before_anything_is_built(make_stage1, monkeypatch):
+    monkeypatch.setattr(TerrainGridCfg, "build", None)
+    for change in (
+        lambda cfg: cfg.rewards.zmp.params.update(sigma=NAN),
+        lambda cfg: cfg.observations.critic.terms.joint_pos_rel.params.update(measured="maybe"),
+        lambda cfg: cfg.curriculum.harness.params.update(rate=INF),
+    ):
+        with pytest.raises(UserError, match="it must be"):
+            make_stage1(2, change)
+
+
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        ({"speed": -1.0}, r"event 'push': speed is -1; it must be between 0 and 10\."),
-        ({"speed": NAN}, r"event 'push': speed is nan; it must be between 0 and 10\."),
-        ({"speed": "fast"}, r"event 'push': speed is 'fast'; it must be between 0 and 10\."),
+        ({"speed": -1.0}, r"event 'push': speed is -1; it must be between 0 and 10 \(too low\)\."),
+        ({"speed": NAN}, r"event 'push': speed is nan; it must be between 0 and 10 \(not finite\)\."),
+        ({"speed": "fast"}, r"event 'push': speed is 'fast'; it must be between 0 and 10 \(not a number\)\."),
     ],
 )
 def test_an_event_that_first_happens_after_seconds_is_checked_when_the_environment_is_built(make_stage1, option, said):

@@ -435,11 +435,12 @@ MISTAKES = {
     ),
     "reversed": (
         {"term": event(randomization.randomize_control_delay, delay=(0.02, 0.01)), "max_control_delay_s": 0.02},
-        r"event 'term': delay is \(0.02, 0.01\); it must be \(lowest, highest\), each 0 or more\.",
+        r"event 'term': delay is \(0.02, 0.01\); it must be \(lowest, highest\), each 0 or more \(the first is higher"
+        r"\)\.",
     ),
     "masses": (
         {"term": event(randomization.randomize_link_masses, factor=(0.0, 1.0))},
-        r"event 'term': factor is \(0, 1\); it must be \(lowest, highest\), each positive\.",
+        r"event 'term': factor is \(0, 1\); it must be \(lowest, highest\), each positive \(too low\)\.",
     ),
     "joints": (
         {"term": event(randomization.randomize_joint_damping, damping=(0.0, 1.0), joints="tail")},
@@ -457,7 +458,10 @@ MISTAKES = {
         {"observation_age_s": 0.001},
         r"sim.observation_age_s is 0.001; it must be finite and at least the physics step of 0.005 s\.",
     ),
-    "room": ({"max_control_delay_s": -0.1}, r"env.sim.max_control_delay_s is -0.1; it must be between 0 and 0.5\."),
+    "room": (
+        {"max_control_delay_s": -0.1},
+        r"env.sim.max_control_delay_s is -0.1; it must be between 0 and 0.5 \(too low\)\.",
+    ),
 }
 
 

@@ -22,6 +22,7 @@ from humoslope.replay.meshes import fetch_meshes, load_meshes
 from humoslope.replay.robot import RobotShape
 from humoslope.replay.rollout import Rollout
 from humoslope.scene.robot import MeshSource, MeshVisual
+from humoslope.seal import SUMS
 from robots.unitree_g1 import UNITREE_G1
 
 RED, BLUE = (255, 0, 0), (0, 0, 255)
@@ -85,6 +86,9 @@ def test_fetched_meshes_are_worn_by_their_links(source: MeshSource, index: str, 
     ball = torso.vertices[(torso.colours == BLUE).all(axis=1)]
     np.testing.assert_allclose(np.linalg.norm(ball - (0.0, 0.0, 2.0), axis=1), 0.1, atol=1e-6)
     (folder / "box.STL").write_text("not a mesh")
+    with pytest.raises(UserError, match=r"box.STL' is damaged or was changed .*; `humoslope meshes` fetches them anew"):
+        load_meshes("toy", tmp_path / "cache")
+    (folder / SUMS).unlink()  # as an earlier version left them
     with pytest.raises(UserError, match="broken; `humoslope meshes` fetches them anew"):
         load_meshes("toy", tmp_path / "cache")
 

@@ -123,7 +123,7 @@ def test_the_usual_grade_is_20_degrees_or_the_nearest_that_there_is() -> None:
     ("wrong", "said"),
     [
         ({"grade": 10.0, "level": 0.5}, "not both"),
-        ({"level": 1.5}, "level 1.5"),
+        ({"level": 1.5}, "level is 1.5; it must be between 0 and 1"),
         ({"seconds": 0.0}, "seconds is 0"),
         ({"push": -1.0}, "push is -1"),
         ({"terrain": "ramp-upp"}, "did you mean 'ramp-up'"),

@@ -19,6 +19,7 @@ from humoslope.learning.rng import seed_everything
 from humoslope.learning.trainer import Trainer
 from humoslope.presets import apply_preset
 from humoslope.registry import TaskCfg, build_task
+from humoslope.seal import beside, check_sums
 
 ENV_SHARE, LOOP_SHARE = 0.4, 0.15
 """Least speed of env.step and of the whole training loop, as shares of the bare physics, at the largest size."""
@@ -119,9 +120,10 @@ def read_end(curve: Path) -> dict[str, float]:
     """Means of the last rows of a curve, a table as `humoslope curve --table` writes it.
 
     Raises:
-        UserError: If the file is no such table.
+        UserError: If the file is no such table, or was damaged since.
     """
     wanted = ("Train/reward", "Train/falls_per_second")
+    check_sums(curve.parent, "draw it anew from its run, or", beside(curve))
     try:
         with curve.open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))[-LAST:]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
 from types import FrameType
+from typing import Any, TextIO, cast
 
 from humoslope.errors import UserError, unknown
 from humoslope.extras import explained_extras
@@ -45,24 +47,29 @@ VERBS = {
 """Each verb is `run(arguments)` in the module of its name."""
 
 
+PRINTING = ("list", "table", "compare", "doctor")
+"""Verbs whose result is what they print. They end when nobody reads it any more; others finish their work."""
+HELP = ("-h", "--help")
 EXIT_CODES = """Exit codes: 0 complete; 2 a mistake, said in one sentence; 130, 143, 129 stopped by Ctrl-C, SIGTERM or
-SIGHUP, with what was done kept; 141 nobody reads the output any more; 1 an error of the program, with a traceback."""
+SIGHUP, with what was done kept; 141 nobody reads the output any more; 1 an error of the program, with a traceback, or
+something that `check` or `accept` finds wrong. Under torchrun each process has these codes, torchrun itself 0 or 1."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs a verb and returns its exit code, see `EXIT_CODES`."""
     arguments = sys.argv[1:] if arguments is None else arguments
     _say_all_characters()
-    code, said = 0, ""
+    code, said, unread = 0, "", 141
     try:
-        if not arguments or arguments[0] in ("-h", "--help"):
-            _print_help()
-            return 0
-        verb, rest = arguments[0], arguments[1:]
-        if verb not in VERBS:
+        verb, rest = (arguments or ["--help"])[0], arguments[1:]
+        if verb not in (*VERBS, *HELP):
             raise unknown("verb", verb, VERBS)
-        with handled(_stop), explained_extras(verb):
-            run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{verb}").run
+        prints_only = verb in (*PRINTING, *HELP) or not {*rest}.isdisjoint(HELP)
+        unread = 141 if prints_only else 0
+        # A training sees to its terminal itself.
+        reading = nullcontext() if prints_only or verb == "train" else _without_readers()
+        with handled(_stop), explained_extras(verb), reading:
+            run: Callable[[list[str]], None] = _print_help if verb in HELP else _verb(verb)
             run(rest)
     except UserError as error:
         code, said = 2, str(error)
@@ -72,6 +79,10 @@ def main(arguments: list[str] | None = None) -> int:
         code, said = 130, "interrupted."
     except BrokenPipeError:
         code = 141
+    except SystemExit as stop:  # rich makes one of a closed pipe
+        if _said("") and not isinstance(stop.__context__, BrokenPipeError):
+            raise
+        code = unread or int(stop.code or 0)
     except (MemoryError, RuntimeError) as error:
         code, said = 2, _said_of_memory(error)
         if not said:
@@ -80,7 +91,43 @@ def main(arguments: list[str] | None = None) -> int:
         if error.strerror is None:
             raise
         code, said = 2, f"{error.strerror}{'' if error.filename is None else f': {error.filename}'}."
-    return code if _said(said) or code else 141
+    return code if _said(said) or code else unread
+
+
+def _verb(name: str) -> Callable[[list[str]], None]:
+    run: Callable[[list[str]], None] = import_module(f"humoslope.cli.{name}").run
+    return run
+
+
+class _Unread:
+    """A stream whose reader may go away: what is written from then on is lost."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with suppress(BrokenPipeError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(BrokenPipeError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def _without_readers() -> Iterator[None]:
+    """Lets the work inside go on when nobody reads what it prints any more."""
+    before = sys.stdout
+    if before is not None:
+        sys.stdout = cast("TextIO", _Unread(before))
+    try:
+        yield
+    finally:
+        sys.stdout = before
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -118,7 +165,7 @@ def _said_of_memory(error: Exception) -> str:
     return ""
 
 
-def _print_help() -> None:
+def _print_help(_: list[str]) -> None:
     width = max(map(len, VERBS))
     print("humoslope VERB [...]; humoslope VERB --help lists its options.\n")
     for verb, line in VERBS.items():

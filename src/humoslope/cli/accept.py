@@ -6,11 +6,12 @@ import dataclasses
 import shlex
 import sys
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, ClassVar, get_args
 
 import tyro
 from rich.console import Console
 
+from humoslope.cli.arguments import parse_options
 from humoslope.cli.margins import trials_progress
 from humoslope.cpu import usable_cores
 from humoslope.deploy.conditions import NOMINAL
@@ -19,11 +20,12 @@ from humoslope.evaluation.margins.acceptance import Acceptance, table
 from humoslope.evaluation.margins.demands import Name
 from humoslope.files import check_place
 from humoslope.interrupts import Terminated, deferred_interrupts
+from humoslope.ranges import Checked, Count, NotEmpty, Range, Seed
 from humoslope.seal import write_json
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Checks in plain MuJoCo whether an exported policy meets what is demanded of one that is to walk on a robot:
     standing still, all directions, slopes across, pushes, delays, other physics steps, a calm and upright gait.
 
@@ -35,39 +37,27 @@ class Options:
         demands: Names of the demands to check.
         trials: Trials of each case.
         model: MJCF of another robot with joints of the same names, to examine the policy on instead of its own model.
-        seconds: Length of a trial, s.
+        seconds: Length of a trial, s; the first push comes after 5 s.
         seed: Seed of the random starts and disturbances.
         processes: Number of processes; 0 for one on each usable core.
         out: Path of the results without ending; by default `acceptance` in the export folder.
     """
 
-    folder: tyro.conf.Positional[Path]
-    demands: tuple[Name, ...] = get_args(Name)
-    trials: int = 64
-    model: Path | None = None
-    seconds: float = 20.0
-    seed: int = 0
-    processes: int = 0
-    out: Path | None = None
+    VERB: ClassVar[str] = "accept"
 
-    def __post_init__(self) -> None:
-        if self.trials < 1 or self.seed < 0 or self.processes < 0:
-            raise UserError(
-                f"--trials {self.trials} must be at least 1, and --seed {self.seed} and --processes {self.processes} "
-                "0 or more."
-            )
-        if not NOMINAL.push_every_s < self.seconds <= 3600.0:
-            raise UserError(
-                f"--seconds {self.seconds:g} must be above {NOMINAL.push_every_s:g}, when the first push comes, and at "
-                "most 3600."
-            )
-        if not self.demands:
-            raise UserError("--demands must name some.")
+    folder: tyro.conf.Positional[Path]
+    demands: Annotated[tuple[Name, ...], NotEmpty()] = get_args(Name)
+    trials: Count = 64
+    model: Path | None = None
+    seconds: Annotated[float, Range(NOMINAL.push_every_s, 3600.0, open_low=True)] = 20.0
+    seed: Seed = 0
+    processes: Annotated[int, Range(0, 1024)] = 0
+    out: Path | None = None
 
 
 def run(arguments: list[str]) -> None:
     """Examines the export named in `arguments`."""
-    options, console = tyro.cli(Options, args=arguments, prog="humoslope accept"), Console()
+    options, console = parse_options(Options, arguments, "accept"), Console()
     if options.model is not None and not options.model.is_file():
         raise UserError(f"robot model '{options.model}' does not exist.")
     out = options.out or options.folder / "acceptance"

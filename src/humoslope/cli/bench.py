@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import multiprocessing
 import os
 import platform
@@ -12,7 +11,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 from rich.console import Console
 from rich.table import Table
@@ -21,18 +20,20 @@ import humoslope
 from humoslope.cli.options import parse
 from humoslope.cpu import usable_cores
 from humoslope.errors import UserError
-from humoslope.files import check_place, write_text
+from humoslope.files import check_place
 from humoslope.interrupts import leave_signals_to_parent
 from humoslope.learning import checkpoint as checkpoints
 from humoslope.learning.benchmark import RANDOM_STD, Measurement, measure
 from humoslope.presets import Preset
+from humoslope.ranges import Checked, Count, NotEmpty
 from humoslope.registry import all_tasks, load_content
+from humoslope.seal import finite, write_json
 
 TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 envs; below 2,048 MiB at 4096."
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Measures bare physics, env.step, the terrain descriptor and the whole PPO loop in turn. All speeds are control
     steps of all envs per second; the bare physics is given the states and controls that env.step went through.
 
@@ -46,8 +47,10 @@ class Options:
         watch: Measure what `train --watch` costs instead: iterations with and without a live view in turn.
     """
 
-    sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)
-    rounds: int = 5
+    VERB: ClassVar[str] = "bench"
+
+    sizes: Annotated[tuple[Count, ...], NotEmpty()] = (64, 256, 512, 1024, 4096)
+    rounds: Count = 5
     preset: Preset = "auto"
     checkpoint: str = ""
     out: str = ""
@@ -61,8 +64,6 @@ def run(arguments: list[str]) -> None:
         raise UserError(f"bench needs a task: {', '.join(all_tasks())}.")
     task, typed = arguments[0], arguments[1:]
     _, options = parse(Options(), task, typed, "bench")
-    if not options.sizes or min(options.sizes) < 1 or options.rounds < 1:
-        raise UserError("sizes and rounds must be at least 1.")
     if options.checkpoint:
         checkpoints.load(Path(options.checkpoint))
     if options.out:
@@ -85,7 +86,7 @@ def run(arguments: list[str]) -> None:
         console.print(f"  {size} envs: {median(results[-1].env):,.0f} steps/s", highlight=False)
     if options.out:
         report = _report(task, typed, options, driver, load, results)
-        write_text(Path(options.out), json.dumps(report, indent=2) + "\n")
+        write_json(Path(options.out), finite(report))
     console.print(speed_table(results, options.preset), descriptor_table(results), parts_table(results))
     if options.out:
         console.print(f"wrote {options.out}", soft_wrap=True)
@@ -101,7 +102,7 @@ def _measure_watching(task: str, typed: list[str], options: Options, console: Co
         costs.append(watch_cost(task, cfg, options.rounds))
     if options.out:
         told = {"what": "watch", "task": task, "options": typed, "sizes": [dataclasses.asdict(cost) for cost in costs]}
-        write_text(Path(options.out), json.dumps(told, indent=2) + "\n")
+        write_json(Path(options.out), told)
     console.print(cost_table(costs))
 
 

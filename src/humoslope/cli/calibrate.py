@@ -6,11 +6,12 @@ import dataclasses
 import math
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 
+from humoslope.cli.arguments import parse_options
 from humoslope.cli.measure import describe, introduce, trained, walking, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
@@ -24,11 +25,12 @@ from humoslope.files import check_place
 from humoslope.learning.policy import load_actor, read_spec
 from humoslope.mdp.selection import joint_pair
 from humoslope.provenance import plain
+from humoslope.ranges import Checked
 from humoslope.slope.swing import PRIOR
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Lets a trained policy walk up and down ramps and fits the hip flexion of its swing leg against the slope.
 
     Attributes:
@@ -39,6 +41,8 @@ class Options:
             it.
     """
 
+    VERB: ClassVar[str] = "calibrate"
+
     checkpoint: tyro.conf.Positional[Path]
     protocol: Annotated[SwingProtocol, tyro.conf.arg(name="")] = dataclasses.field(default_factory=SwingProtocol)
     fit: Annotated[Fit, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Fit)
@@ -47,7 +51,7 @@ class Options:
 
 def run(arguments: list[str]) -> None:
     """Calibrates on the checkpoint named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope calibrate")
+    options = parse_options(Options, arguments, "calibrate")
     provenance, task = trained(options.checkpoint)
     path = provenance.path
     out = options.out or calibration_path(path)

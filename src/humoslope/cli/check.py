@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import gc
-import json
 import sys
 import time
 import traceback
@@ -24,11 +23,12 @@ from humoslope.check.physics import check_contacts, check_graphs, check_motion, 
 from humoslope.cli.options import parse
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.files import check_place, write_text
+from humoslope.files import check_place
 from humoslope.learning import checkpoint as checkpoints
 from humoslope.learning.benchmark import Measurement
 from humoslope.presets import Preset
 from humoslope.registry import TaskCfg, all_tasks, load_content
+from humoslope.seal import finite, write_json
 from humoslope.sim.device import find_device
 
 Backend = Literal["auto", "native", "warp"]
@@ -122,7 +122,7 @@ def run(arguments: list[str]) -> None:
             "checks": {name: [dataclasses.asdict(finding) for finding in group] for name, group in findings.items()},
             "speeds": [dataclasses.asdict(speed) for speed in speeds],
         }
-        write_text(Path(options.out), json.dumps(report, indent=2) + "\n")
+        write_json(Path(options.out), finite(report))
         console.print(f"wrote {options.out}", soft_wrap=True)
     if wrong:
         sys.exit(1)

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated, ClassVar
 
 import tyro
 
+from humoslope.cli.arguments import parse_options
 from humoslope.errors import UserError
 from humoslope.evaluation.report.bands import draw_bands
 from humoslope.evaluation.report.compare import TrainingRun, compare
 from humoslope.evaluation.report.results import by_row
 from humoslope.files import check_place, write_text
 from humoslope.learning.run_folder import saved_options, start_of
+from humoslope.ranges import Checked, Range
 from humoslope.words import option_groups
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Prints a table of training runs, with the options in which they differ.
 
     Runs that differ in their seed alone are one row, with an interval over seeds, and a second table says which of the
@@ -32,8 +35,10 @@ class Options:
             to the highest seed.
     """
 
+    VERB: ClassVar[str] = "compare"
+
     runs: tyro.conf.Positional[tuple[Path, ...]]
-    at: float = 0.0
+    at: Annotated[float, Range(0.0, 1e15)] = 0.0
     each: bool = False
     out: Path | None = None
     curves: Path | None = None
@@ -41,7 +46,7 @@ class Options:
 
 def run(arguments: list[str]) -> None:
     """Compares the runs named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope compare")
+    options = parse_options(Options, arguments, "compare")
     if not options.runs:
         raise UserError("compare needs one run folder or more.")
     if options.out is not None:

@@ -12,12 +12,13 @@ from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 import tyro
 from rich.console import Console
 
+from humoslope.cli.arguments import parse_options
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.controller import Controller, OnnxPolicy
@@ -33,15 +34,16 @@ from humoslope.deploy.onboard.session import Session
 from humoslope.deploy.onboard.states import Mode
 from humoslope.deploy.onboard.unitree_g1 import MODE_MACHINE, motor_of_joint
 from humoslope.deploy.onboard.unitree_link import UnitreeLink, load_sdk
-from humoslope.errors import UserError, require_not_negative, require_positive
+from humoslope.errors import UserError
 from humoslope.files import check_place
+from humoslope.ranges import Checked, Finite, NotNegative, Positive
 
 SAID_EVERY_S = 2.0
 """Time between two lines about what is waited for, s."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Runs an exported policy on a G1: wait, zero torque, move to the default pose, hold, walk, damping.
 
     Read docs/robot.md first. Nothing of this was ever tried on a real robot.
@@ -62,28 +64,25 @@ class Options:
         tag: Hear only participants with this tag; for simulated robots.
     """
 
+    VERB: ClassVar[str] = "deploy"
+
     folder: tyro.conf.Positional[Path]
     interface: str
     dry_run: bool = False
     hold_heading: bool = False
-    speed: float = 0.0
-    seconds: float | None = None
+    speed: Finite = 0.0
+    seconds: Positive | None = None
     out: Path | None = None
     mode_machine: int = MODE_MACHINE
-    latency_ms: float = 4.0
+    latency_ms: NotNegative = 4.0
     limits: Annotated[Limits, tyro.conf.arg(name="limit")] = dataclasses.field(default_factory=Limits)
     slower: float = 1.0
     tag: str = ""
 
-    def __post_init__(self) -> None:
-        if self.seconds is not None:
-            require_positive("deploy", seconds=self.seconds)
-        require_not_negative("deploy", latency_ms=self.latency_ms, speed=abs(self.speed))
-
 
 def run(arguments: list[str]) -> None:
     """Runs the export named in `arguments` on a robot."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope deploy")
+    options = parse_options(Options, arguments, "deploy")
     out = options.out or Path(f"walk-{datetime.now():%Y-%m-%d-%H%M%S}.npz")
     check_place(out)
     pace = pace_on(options.interface, options.slower)

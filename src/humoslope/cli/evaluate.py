@@ -5,26 +5,30 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 
+from humoslope.cli.arguments import parse_options
 from humoslope.cli.measure import trained
 from humoslope.errors import UserError
 from humoslope.evaluation.track.protocol import HeldOutProtocol, sweep_protocol
 from humoslope.evaluation.track.run import Plan, evaluate
 from humoslope.interrupts import Terminated
+from humoslope.ranges import Checked, Count
 
 
 @dataclasses.dataclass(frozen=True)
-class Kind:
+class Kind(Checked):
     """The choice that the other options take their defaults from.
 
     Attributes:
         sweep: Search for the steepest grade that is mastered instead: every degree from 10 to 40 at the middle
             friction.
     """
+
+    VERB: ClassVar[str] = "evaluate"
 
     sweep: bool = False
 
@@ -47,7 +51,7 @@ class Options(Kind):
     checkpoints: tyro.conf.Positional[tuple[Path, ...]] = ()
     protocol: Annotated[HeldOutProtocol, tyro.conf.arg(name="")] = dataclasses.field(default_factory=HeldOutProtocol)
     out: Path | None = None
-    parallel_trials: int = 32
+    parallel_trials: Count = 32
     fresh: bool = False
 
 
@@ -72,4 +76,4 @@ def read_options(arguments: list[str]) -> Options:
     """The options in `arguments`; those that are not there have the defaults of the kind of evaluation."""
     kind, _ = tyro.cli(Kind, args=arguments, add_help=False, return_unknown_args=True)
     default = Options(protocol=sweep_protocol() if kind.sweep else HeldOutProtocol())
-    return tyro.cli(Options, args=arguments, prog="humoslope evaluate", default=default)
+    return parse_options(Options, arguments, "evaluate", default)

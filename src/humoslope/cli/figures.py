@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import ClassVar
 
 import tyro
 
+from humoslope.cli.arguments import parse_options
 from humoslope.evaluation.report.figures import draw_all
 from humoslope.evaluation.report.results import read_results
 from humoslope.files import check_place
+from humoslope.ranges import Checked, Finite
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Draws, for several methods at once: the height of the centre of mass by grade, success by grade and friction, how
     far the trials came, and hip torque and knee flexion along the track.
 
@@ -23,14 +26,16 @@ class Options:
         grade: Grade of the figure along the track, degrees.
     """
 
+    VERB: ClassVar[str] = "figures"
+
     results: tyro.conf.Positional[tuple[str, ...]]
     out: Path = Path("figures")
-    grade: float = 20.0
+    grade: Finite = 20.0
 
 
 def run(arguments: list[str]) -> None:
     """Draws the results named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope figures")
+    options = parse_options(Options, arguments, "figures")
     results = read_results(options.results)
     check_place(options.out / "success.png")
     for path in draw_all(results, options.out, options.grade):

@@ -7,15 +7,16 @@ import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, ClassVar, get_args
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from humoslope.cli.arguments import parse_options
 from humoslope.cpu import usable_cores
 from humoslope.deploy.conditions import NOMINAL
-from humoslope.deploy.player import TrialCfg
+from humoslope.deploy.player import SETTLE_S, Slope, TrialCfg
 from humoslope.errors import UserError
 from humoslope.evaluation.margins import show
 from humoslope.evaluation.margins.quantities import Name, Success
@@ -24,11 +25,12 @@ from humoslope.evaluation.margins.search import Rule
 from humoslope.extras import MATPLOTLIB, installed, missing
 from humoslope.files import check_place
 from humoslope.interrupts import Terminated, deferred_interrupts
+from humoslope.ranges import Checked, NotEmpty, Positive, Range, Seed
 from humoslope.seal import write_json
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Searches for the physical conditions up to which an exported policy succeeds, in plain MuJoCo.
 
     One quantity at a time is varied from its nominal value to one at which no policy is expected to succeed. Finished
@@ -42,40 +44,37 @@ class Options:
         model: MJCF of another robot with joints of the same names, to examine the policy on instead of its own model.
         speed: Commanded forward speed, m/s.
         grade: Grade of the course, degrees; turning and cross slopes are examined on ground without it.
-        seconds: Length of a trial, s.
+        seconds: Length of a trial, s; speed is measured from 2 s on.
         seed: Seed of the random starts and disturbances.
         processes: Number of processes; 0 for one on each usable core.
         out: Path of the results without ending; by default `margins` in the export folder.
     """
 
+    VERB: ClassVar[str] = "margins"
+
     folder: tyro.conf.Positional[Path]
-    quantities: tuple[Name, ...] = get_args(Name)
+    quantities: Annotated[tuple[Name, ...], NotEmpty()] = get_args(Name)
     rule: Annotated[Rule, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Rule)
     success: Annotated[Success, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Success)
     model: Path | None = None
-    speed: float = 0.5
-    grade: float = 0.0
-    seconds: float = 20.0
-    seed: int = 0
-    processes: int = 0
+    speed: Positive = 0.5
+    grade: Slope = 0.0
+    seconds: Annotated[float, Range(SETTLE_S, open_low=True)] = 20.0
+    seed: Seed = 0
+    processes: Annotated[int, Range(0, 1024)] = 0
     out: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.speed <= 0.0:
-            raise UserError(f"--speed {self.speed:g} must be positive; margins are those of a walk.")
-        if self.seconds <= 2.0:
-            raise UserError(f"--seconds {self.seconds:g} must be above 2; speed is measured from 2 s on.")
+        super().__post_init__()
         if "push" in self.quantities and self.seconds <= NOMINAL.push_every_s:
             raise UserError(
                 f"--seconds {self.seconds:g} must be above {NOMINAL.push_every_s:g}, when the first push comes."
             )
-        if self.processes < 0 or not self.quantities:
-            raise UserError(f"--processes {self.processes} must be 0 or more, and --quantities must name some.")
 
 
 def run(arguments: list[str]) -> None:
     """Examines the export named in `arguments`."""
-    options, console = tyro.cli(Options, args=arguments, prog="humoslope margins"), Console()
+    options, console = parse_options(Options, arguments, "margins"), Console()
     if options.model is not None and not options.model.is_file():
         raise UserError(f"robot model '{options.model}' does not exist.")
     out = options.out or options.folder / "margins"

@@ -17,8 +17,8 @@ import docstring_parser
 from tyro.conf import Fixed
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
+from humoslope.cli.arguments import checked, help_of
 from humoslope.managers.terms import TermCfg, Terms
-from humoslope.ranges import hints_of, in_words
 from humoslope.scene.robot import Robot
 from humoslope.strict import StrictCfg
 from humoslope.terrain.grid import TerrainGridCfg
@@ -41,7 +41,7 @@ class _Params(dict[str, Any]):
 def task_rules() -> ConstructorRegistry:
     """Rules for the configuration of a task."""
     registry = ConstructorRegistry()
-    for rule in (_terms, _term, _params, _mapping, _robot, _config):
+    for rule in (_terms, _term, _params, _mapping, _robot, _config, checked):
         registry.struct_rule(rule)
     return registry
 
@@ -58,7 +58,7 @@ def _term(info: StructTypeInfo) -> StructConstructorSpec | None:
         return None
     term, kind = info.default, type(info.default)
     hints, own = get_type_hints(kind), [f.name for f in dataclasses.fields(kind) if f.name not in ("func", "params")]
-    fields = [StructFieldSpec(name, hints[name], getattr(term, name), partial(_help, kind, name)) for name in own]
+    fields = [StructFieldSpec(name, hints[name], getattr(term, name), partial(help_of, kind, name)) for name in own]
     fields.append(StructFieldSpec("params", _Params, _Params(term), ""))
     return StructConstructorSpec(partial(dataclasses.replace, term), tuple(fields))
 
@@ -67,7 +67,7 @@ def _params(info: StructTypeInfo) -> StructConstructorSpec | None:
     if not isinstance(info.default, _Params):
         return None
     func, values = info.default.func, info.default.items()
-    fields = [StructFieldSpec(k, _parameter_type(func, k, v), v, partial(_help, func, k)) for k, v in values]
+    fields = [StructFieldSpec(k, _parameter_type(func, k, v), v, partial(help_of, func, k)) for k, v in values]
     return StructConstructorSpec(info.default.parsed, tuple(fields))
 
 
@@ -92,7 +92,7 @@ def _config(info: StructTypeInfo) -> StructConstructorSpec | None:
     fields = []
     for name, value in values.items():
         kind = type(value) if dataclasses.is_dataclass(value) else hints[name]
-        fields.append(StructFieldSpec(name, kind, value, partial(_help, type(cfg), name)))
+        fields.append(StructFieldSpec(name, kind, value, partial(help_of, type(cfg), name)))
     return StructConstructorSpec(partial(dataclasses.replace, cfg), tuple(fields))
 
 
@@ -114,18 +114,3 @@ def _summary(thing: Any) -> str:
     """First lines of the docstring of a term's function, or of a group's class."""
     subject = thing.func if isinstance(thing, TermCfg) else type(thing)
     return docstring_parser.parse(subject.__doc__ or "").short_description or ""
-
-
-def _help(subject: Any, name: str) -> str:
-    """Description of a parameter or attribute, and its range."""
-    words = in_words(hints_of(subject).get(name))
-    return f"{_described(subject, name)} Range: {words}." if words else _described(subject, name)
-
-
-def _described(subject: Any, name: str) -> str:
-    """Description of a parameter or attribute in the docstring of a function or class, or of the class's bases."""
-    for one in inspect.getmro(subject) if inspect.isclass(subject) else (subject,):
-        for entry in docstring_parser.parse(one.__doc__ or "").params:
-            if name in entry.arg_name.split(", "):  # "along, across: Offset from ..., m."
-                return " ".join((entry.description or "").split())
-    return ""

@@ -6,12 +6,13 @@ import dataclasses
 import math
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from humoslope.cli.arguments import parse_options
 from humoslope.deploy import contract as contracts
 from humoslope.deploy import views
 from humoslope.deploy.conditions import NOMINAL, Conditions
@@ -20,11 +21,12 @@ from humoslope.deploy.gait import FAST_HZ
 from humoslope.deploy.player import SETTLE_S, Player, Trial, TrialCfg, run_trials, summarise
 from humoslope.deploy.views import Live
 from humoslope.errors import UserError
+from humoslope.ranges import Checked
 from humoslope.shipped import found
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Runs an exported policy in plain MuJoCo: live, steered in the browser, in a window or with a gamepad; or
     headless, where it prints how it walks and, at --speed 0, how it stands.
 
@@ -38,6 +40,8 @@ class Options:
         live: View of the walk, and its controls.
     """
 
+    VERB: ClassVar[str] = "play"
+
     folder: tyro.conf.Positional[Path]
     trials: Annotated[TrialCfg, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrialCfg)
     conditions: Annotated[Conditions, tyro.conf.arg(name="")] = NOMINAL
@@ -47,7 +51,7 @@ class Options:
 
 def run(arguments: list[str]) -> None:
     """Plays the export named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope play")
+    options = parse_options(Options, arguments, "play")
     cfg, console = options.trials, Console()
     if not options.headless and cfg.trials > 1:
         raise UserError("a live walk is one trial; --trials needs --headless.")

@@ -5,22 +5,24 @@ from __future__ import annotations
 import dataclasses
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 
+from humoslope.cli.arguments import parse_options
 from humoslope.cli.measure import describe, introduce, trained, walking, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, run_trials, summarise, table
 from humoslope.files import check_place
 from humoslope.learning.policy import load_actor, read_spec
 from humoslope.provenance import plain
+from humoslope.ranges import Checked
 from humoslope.seal import write_json
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Lets a trained policy walk on flat ground and on ramps, without noise or harness, and counts its falls.
 
     With --speed 0 it is commanded to stand there, and its creep and its steps are measured. It may also be commanded
@@ -33,6 +35,8 @@ class Options:
         out: Path of the JSON file with the results; by default beside the checkpoint.
     """
 
+    VERB: ClassVar[str] = "ramps"
+
     checkpoint: tyro.conf.Positional[Path]
     protocol: Annotated[RampProtocol, tyro.conf.arg(name="")] = dataclasses.field(default_factory=RampProtocol)
     out: Path | None = None
@@ -40,7 +44,7 @@ class Options:
 
 def run(arguments: list[str]) -> None:
     """Evaluates the checkpoint named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope ramps")
+    options = parse_options(Options, arguments, "ramps")
     provenance, task = trained(options.checkpoint)
     out = options.out or provenance.path.with_suffix(".ramps.json")
     check_place(out)

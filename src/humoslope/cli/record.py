@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from humoslope.cli.arguments import parse_options
 from humoslope.cli.measure import trained, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.files import check_place
 from humoslope.learning.policy import load_actor, read_spec
+from humoslope.ranges import Checked
 from humoslope.replay.record import RecordProtocol, record, record_env_cfg, with_provenance
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Lets a trained policy walk once, and writes the walk to a file that `replay` and `video` show.
 
     Attributes:
@@ -28,6 +30,8 @@ class Options:
         label: Name of the walk in viewers; by default the checkpoint's name.
     """
 
+    VERB: ClassVar[str] = "record"
+
     checkpoint: tyro.conf.Positional[Path]
     protocol: Annotated[RecordProtocol, tyro.conf.arg(name="")] = dataclasses.field(default_factory=RecordProtocol)
     out: Path | None = None
@@ -36,7 +40,7 @@ class Options:
 
 def run(arguments: list[str]) -> None:
     """Records the checkpoint named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope record")
+    options = parse_options(Options, arguments, "record")
     protocol, console = options.protocol, Console()
     provenance, task = trained(options.checkpoint)
     path = provenance.path

@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import threading
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import tyro
 from rich.console import Console
 
+from humoslope.cli.arguments import parse_options
 from humoslope.cli.deploy import sdk_on_stderr, signals_set
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.onboard.pace import Pace, pace_on
 from humoslope.deploy.onboard.person import Person
 from humoslope.deploy.onboard.simulated import Faults, SimulatedRobot
 from humoslope.deploy.onboard.unitree_link import PERIOD_S, UnitreeRobot, load_sdk
-from humoslope.deploy.player import STEEPEST
-from humoslope.errors import UserError, require_positive
-from humoslope.files import check_place, write_text
+from humoslope.deploy.player import Slope
+from humoslope.errors import UserError
+from humoslope.files import check_place
+from humoslope.ranges import Checked, NotNegative, Positive, Seed, Timestep
+from humoslope.seal import finite, write_json
 
 BEHIND_S = 0.1
 """Time by which the simulation may fall behind before it gives up catching up, s."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Simulates a G1 that `humoslope deploy DIR --interface lo` moves: motors, sensors, gantry, remote, ground, faults.
 
     Attributes:
@@ -48,30 +50,31 @@ class Options:
         out: JSON file of events, with the true place of the robot.
     """
 
+    VERB: ClassVar[str] = "robot"
+
     folder: tyro.conf.Positional[Path]
     interface: str = "lo"
     tag: str = ""
-    grade: float = 0.0
-    cross: float = 0.0
-    friction: float = 1.0
+    grade: Slope = 0.0
+    cross: Slope = 0.0
+    friction: NotNegative = 1.0
     script: str = "1:start 5:lower 8:A 8:forward=0.6 8.5:release"
-    seconds: float | None = None
-    timestep: float | None = None
+    seconds: Positive | None = None
+    timestep: Timestep | None = None
     slower: float = 1.0
     faults: Annotated[Faults, tyro.conf.arg(name="fault")] = dataclasses.field(default_factory=Faults)
-    seed: int = 0
+    seed: Seed = 0
     out: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.seconds is not None:
-            require_positive("robot", seconds=self.seconds)
-        if max(abs(self.grade), abs(self.cross)) > STEEPEST or (self.grade and self.cross):
-            raise UserError(f"robot: --grade or --cross, up to {STEEPEST:g} degrees, and one of them 0.")
+        super().__post_init__()
+        if self.grade and self.cross:
+            raise UserError("robot: --grade and --cross cannot be combined; one must be 0.")
 
 
 def run(arguments: list[str]) -> None:
     """Simulates the robot of the export named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope robot")
+    options = parse_options(Options, arguments, "robot")
     if options.out is not None:
         check_place(options.out)
     contract = contracts.read(options.folder)
@@ -95,7 +98,7 @@ def run(arguments: list[str]) -> None:
     with signals_set(stop):
         _live(robot, side, person, happened, options.seconds or float("inf"), stop, pace)
     if options.out is not None:
-        write_text(options.out, json.dumps(happened.result(), indent=1) + "\n")
+        write_json(options.out, finite(happened.result()))
 
 
 def _live(

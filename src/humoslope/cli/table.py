@@ -6,10 +6,11 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import tyro
 
+from humoslope.cli.arguments import parse_options
 from humoslope.errors import UserError, unknown
 from humoslope.evaluation.report.paper import Paper, read_paper
 from humoslope.evaluation.report.results import Method, Result, read_methods
@@ -23,10 +24,11 @@ from humoslope.evaluation.report.tables import (
     main_table,
 )
 from humoslope.files import check_place, write_text
+from humoslope.ranges import Checked, Finite
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Prints a table of several methods, with the paper's row below each of ours.
 
     Attributes:
@@ -42,16 +44,18 @@ class Options:
         out: Path without ending of files for the table too, as .md, .csv and .json.
     """
 
+    VERB: ClassVar[str] = "table"
+
     which: tyro.conf.Positional[Literal["1", "2", "diagnostics", "causes", "cells"]]
     results: tyro.conf.Positional[tuple[str, ...]]
-    grade: float = 20.0
+    grade: Finite = 20.0
     against: str = ""
     out: Path | None = None
 
 
 def run(arguments: list[str]) -> None:
     """Prints the table named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope table")
+    options = parse_options(Options, arguments, "table")
     methods = read_methods(options.results)
     sheets = _sheets(options, methods, read_paper())
     paths: dict[Path, Callable[[], str]] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from contextlib import ExitStack, nullcontext
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -17,7 +18,7 @@ from humoslope.errors import UserError
 from humoslope.interrupts import Terminated
 from humoslope.learning import checkpoint
 from humoslope.learning.configuration import departures, trained_cfg
-from humoslope.learning.distributed import choose_device, process_group, read_processes
+from humoslope.learning.distributed import choose_device, process_group, read_processes, wait_for_all
 from humoslope.learning.policy import spec_of
 from humoslope.learning.rng import seed_everything
 from humoslope.learning.run_folder import claimed, find_run, record_start, tee
@@ -132,7 +133,9 @@ def _train(
             trainer.warm_start(origin.parent.path)
         if run_dir is not None:
             source = origin.parent.path if origin.parent is not None else resumed
-            record_start(run_dir, task, cfg, options, trainer.iteration, trainer.total_steps, source)
+            record = partial(record_start, run_dir, task, cfg, options, trainer.iteration, trainer.total_steps, source)
+            record()
+            trainer.on_lost_folder = record
             _introduce(console, task, env, run_dir)
             if resumed is not None:
                 console.print(f"Resumed from {resumed}. {how}", soft_wrap=True, highlight=False)
@@ -141,8 +144,9 @@ def _train(
                 console.print(f"[yellow]{advice}[/yellow]", soft_wrap=True)
         if run_dir is not None:
             _let_look(stack, console, trainer, run_dir, args)
-        # A launcher of several processes takes any other code than 0 for a failure, and ends those that still save.
-        if not trainer.train() and processes.size == 1:
+        if not trainer.train():
+            # A launcher of several processes ends all as soon as one ends with another code than 0.
+            wait_for_all(env.device)
             raise Terminated(trainer.stopped_by)
 
 

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from humoslope.cli.arguments import parse_options
 from humoslope.errors import UserError
 from humoslope.files import check_place
+from humoslope.ranges import Checked
 from humoslope.replay.film.video import ENDINGS, VideoCfg, write_sheet, write_video
 from humoslope.replay.rollout import load_rollout
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Draws a recorded walk to a video and to a PNG contact sheet. Needs no display, GPU or graphics driver.
 
     Attributes:
@@ -28,6 +30,8 @@ class Options:
         sheet_only: Draw the contact sheet alone.
     """
 
+    VERB: ClassVar[str] = "video"
+
     rollout: tyro.conf.Positional[Path]
     video: Annotated[VideoCfg, tyro.conf.arg(name="")] = dataclasses.field(default_factory=VideoCfg)
     out: Path | None = None
@@ -36,7 +40,7 @@ class Options:
 
 def run(arguments: list[str]) -> None:
     """Draws the rollout named in `arguments`."""
-    options = tyro.cli(Options, args=arguments, prog="humoslope video")
+    options = parse_options(Options, arguments, "video")
     rollout, cfg, console = load_rollout(options.rollout), options.video, Console()
     stem = options.rollout.name.removesuffix(".npz").removesuffix(".rollout")
     out = options.out or options.rollout.with_name(f"{stem}.mp4")

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from humoslope.deploy.gait import Gait, GaitRecorder, mean_gait
 from humoslope.deploy.quantities import Array
 from humoslope.deploy.world import World
 from humoslope.errors import UserError
+from humoslope.ranges import Checked, Count, Positive, Range, Seed
 from humoslope.statistics import Proportion, mean, proportion
 
 SETTLE_S = 2.0
@@ -31,12 +33,15 @@ ALONG, ACROSS, YAW, JOINTS = 0.15, 0.5, 0.3, 0.05
 """Half-widths of the random starts, m and rad; as in the ramp check."""
 STEEPEST = 60.0
 FASTEST = 10.0
+Slope = Annotated[float, Range(-STEEPEST, STEEPEST)]
+"""An inclination, degrees."""
+Speed = Annotated[float, Range(-FASTEST, FASTEST)]
 SWING_S = 0.06
 """A foot that was off the ground for a shorter time, s, has not stepped: contacts of a standing foot flicker."""
 
 
 @dataclass(frozen=True)
-class TrialCfg:
+class TrialCfg(Checked):
     """Course, command and number of the trials.
 
     Attributes:
@@ -51,30 +56,21 @@ class TrialCfg:
         lateral: Commanded speed to the left, m/s; negative is to the right.
     """
 
-    grade: float = 0.0
-    speed: float = 0.5
-    seconds: float = 20.0
-    trials: int = 1
-    seed: int = 0
-    cross: float = 0.0
-    yaw_rate: float | None = None
-    lateral: float = 0.0
+    VERB: ClassVar[str] = "play"
+
+    grade: Slope = 0.0
+    speed: Speed = 0.5
+    seconds: Positive = 20.0
+    trials: Count = 1
+    seed: Seed = 0
+    cross: Slope = 0.0
+    yaw_rate: Annotated[float, Range(-FASTEST, FASTEST)] | None = None
+    lateral: Speed = 0.0
 
     def __post_init__(self) -> None:
-        for name, slope in (("--grade", self.grade), ("--cross", self.cross)):
-            if not -STEEPEST <= slope <= STEEPEST:
-                raise UserError(f"{name} {slope:g} must be between {-STEEPEST:g} and {STEEPEST:g} degrees.")
+        super().__post_init__()
         if self.grade and self.cross:
             raise UserError(f"--cross {self.cross:g} and --grade {self.grade:g} cannot be combined; one must be 0.")
-        if self.yaw_rate is not None and not abs(self.yaw_rate) <= FASTEST:
-            raise UserError(f"--yaw-rate {self.yaw_rate:g} must be at most {FASTEST:g} rad/s.")
-        for name, speed in (("--speed", self.speed), ("--lateral", self.lateral)):
-            if not abs(speed) <= FASTEST:
-                raise UserError(f"{name} {speed:g} must be at most {FASTEST:g} m/s.")
-        if not 0.0 < self.seconds < math.inf:
-            raise UserError(f"--seconds {self.seconds:g} must be positive.")
-        if self.trials < 1 or self.seed < 0:
-            raise UserError(f"--trials {self.trials} must be at least 1, and --seed {self.seed} at least 0.")
 
     @property
     def stands(self) -> bool:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated, ClassVar
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -21,11 +22,12 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.errors import UserError, require_not_negative, require_positive
+from humoslope.errors import UserError
 from humoslope.evaluation.common import measuring_physics, policy_observations, rollout
 from humoslope.evaluation.ramp_trials import Recorder, Trials
 from humoslope.managers import EventTermCfg, TerminationTermCfg, Terms
 from humoslope.mdp import events, terminations
+from humoslope.ranges import Checked, Count, Finite, NotEmpty, NotNegative, Positive, Range, Seed, Timestep
 from humoslope.scene.signals import CONTACT_FORCE
 from humoslope.statistics import Array, Proportion, mean, proportion
 from humoslope.terrain.grid import SPAWN_X, Tile, TileRowCfg
@@ -47,12 +49,13 @@ ALONG, ACROSS, YAW = 0.15, 0.5, 0.3
 """Half-widths of the random start, m, m and rad; as in training."""
 START_JOINTS = {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}
 """Random offsets of joints from the default pose, rad and rad/s."""
+Grades = Annotated[tuple[Annotated[float, Range(-STEEPEST, STEEPEST)], ...], NotEmpty()]
 CREEP = 0.5
 """Speed at which a robot that drifts in a direction that is not commanded stays on its tile for the trial, m/s."""
 
 
 @dataclass(frozen=True)
-class RampProtocol:
+class RampProtocol(Checked):
     """Settings of the ramp check.
 
     Attributes:
@@ -75,46 +78,30 @@ class RampProtocol:
         seed: Seed of the random starts.
     """
 
-    grades: tuple[float, ...] = (0.0, 10.0, -10.0, 20.0, -20.0, 25.0, -25.0, 30.0, -30.0)
-    starts: int = 256
-    speed: float = 0.5
-    lateral: float = 0.0
-    yaw_rate: float = 0.0
+    VERB: ClassVar[str] = "ramps"
+
+    grades: Grades = (0.0, 10.0, -10.0, 20.0, -20.0, 25.0, -25.0, 30.0, -30.0)
+    starts: Count = 256
+    speed: Finite = 0.5
+    lateral: Finite = 0.0
+    yaw_rate: Finite = 0.0
     across: bool = False
-    push: float = 0.0
-    push_every: float = 5.0
-    seconds: float = 20.0
-    timestep: float = 0.005
-    friction: float = 0.8
-    friction_margin: float = 0.3
-    fall_height: float = 0.4
-    fall_tilt: float = 55.0
-    seed: int = 1000
+    push: NotNegative = 0.0
+    push_every: Positive = 5.0
+    seconds: Positive = 20.0
+    timestep: Timestep = 0.005
+    friction: NotNegative = 0.8
+    friction_margin: NotNegative = 0.3
+    fall_height: NotNegative = 0.4
+    fall_tilt: NotNegative = 55.0
+    seed: Seed = 1000
 
     def __post_init__(self) -> None:
-        if not self.grades:
-            raise UserError("ramps: there are no grades; give one or more, in degrees.")
-        for grade in self.grades:
-            if not -STEEPEST <= grade <= STEEPEST:
-                raise UserError(f"ramps: grade {grade:g} must be between {-STEEPEST:g} and {STEEPEST:g} degrees.")
-        if self.starts < 1:
-            raise UserError(f"ramps: starts is {self.starts}; each ramp needs at least 1.")
-        require_positive("ramps", seconds=self.seconds, timestep=self.timestep, push_every=self.push_every)
-        for name in ("speed", "lateral", "yaw_rate"):
-            if not math.isfinite(getattr(self, name)):
-                raise UserError(f"ramps: {name} is {getattr(self, name):g}; it must be a finite number.")
-        require_not_negative(
-            "ramps",
-            push=self.push,
-            friction=self.friction,
-            friction_margin=self.friction_margin,
-            fall_height=self.fall_height,
-            fall_tilt=self.fall_tilt,
-        )
+        super().__post_init__()
         for speed, extent in ((self.speed, self.tile_length), (self.lateral, self.tile_width)):
             if extent > LONGEST:
                 raise UserError(
-                    f"ramps: {speed:g} m/s for {self.seconds:g} s needs {extent:g} m of ground; "
+                    f"{self.VERB}: {speed:g} m/s for {self.seconds:g} s needs {extent:g} m of ground; "
                     f"there are at most {LONGEST:g} m."
                 )
 

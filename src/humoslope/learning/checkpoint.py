@@ -34,7 +34,7 @@ import torch
 from humoslope.errors import UserError
 from humoslope.files import read_bytes, write_bytes
 from humoslope.learning import format_1
-from humoslope.seal import MARK, is_sealed, sealed
+from humoslope.seal import MARK, is_sealed, seal
 from humoslope.shipped import found
 
 FORMAT = 2
@@ -61,7 +61,7 @@ def save(path: Path, state: Mapping[str, Any]) -> None:
     write_bytes(path, encoded(path, state))
 
 
-def encoded(path: Path, state: Mapping[str, Any]) -> bytes:
+def encoded(path: Path, state: Mapping[str, Any]) -> memoryview:
     """The content of a checkpoint that is to be written to `path`.
 
     Raises:
@@ -71,11 +71,12 @@ def encoded(path: Path, state: Mapping[str, Any]) -> bytes:
     return encoded_sealed({"format": FORMAT, **state})
 
 
-def encoded_sealed(content: Mapping[str, Any]) -> bytes:
+def encoded_sealed(content: Mapping[str, Any]) -> memoryview:
     """Tensors and plain types as a file with a checksum."""
     buffer = io.BytesIO()
     torch.save(dict(content), buffer)
-    return sealed(buffer.getvalue())
+    seal(buffer)
+    return buffer.getbuffer()
 
 
 def load_sealed(path: Path) -> dict[str, Any]:

@@ -95,6 +95,11 @@ def any_process(flags: tuple[bool, ...], device: torch.device) -> tuple[bool, ..
     return tuple(bool(value) for value in values.tolist())
 
 
+def wait_for_all(device: torch.device) -> None:
+    """Returns once every process has come here."""
+    any_process((False,), device)
+
+
 def mean_over_processes(value: torch.Tensor) -> torch.Tensor:
     """The mean of a tensor over all processes; the tensor itself in a single one."""
     if not dist.is_initialized():

@@ -32,6 +32,7 @@ class CurveWriter:
     """
 
     def __init__(self, folder: Path | None, agent: AgentCfg) -> None:
+        self._folder = folder
         self._writer: Any = None
         if folder is None:
             return
@@ -40,9 +41,14 @@ class CurveWriter:
 
             self._writer = WandbLogWriter(str(folder), agent.wandb_project)
         else:
+            self.renew()
+
+    def renew(self) -> None:
+        """Begins a new event file, as when the folder with the old one was removed."""
+        if self._folder is not None and not hasattr(self._writer, "save_model"):
             from torch.utils.tensorboard import SummaryWriter
 
-            self._writer = SummaryWriter(log_dir=str(folder), flush_secs=10)
+            self._writer = SummaryWriter(log_dir=str(self._folder), flush_secs=10)
 
     def write(self, iteration: int, values: dict[str, float]) -> None:
         """Adds a point to each curve."""

@@ -4,7 +4,8 @@ model_100.pt ...        checkpoints
 episodes_100.pt         the state of all episodes at the newest one
 events.out.tfevents...  curves
 console.log             everything that was printed
-starts/1/, starts/2/    for each start, options.txt, config.json, git.txt and start.json (what it began with)
+starts/1/, starts/2/    for each start, options.txt, config.json, git.txt and start.json (what it began with), and their
+                        checksums
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import humoslope
 from humoslope.errors import UserError
 from humoslope.files import check_place, remove_leftovers, write_text
 from humoslope.provenance import git_state, plain
+from humoslope.seal import check_sums, write_sums
 
 if TYPE_CHECKING:
     from humoslope.registry import TaskCfg
@@ -100,10 +102,15 @@ def record_start(
         "from": None if origin is None else str(origin),
     }
     resolved = {"task": task, "env": plain(cfg.env), "agent": plain(cfg.agent)}
-    write_text(folder / "config.json", json.dumps(resolved, indent=2))
-    write_text(folder / "options.txt", shlex.join(options))
-    write_text(folder / "git.txt", git_state())
-    write_text(folder / "start.json", json.dumps(about, indent=2))
+    files = {
+        "config.json": json.dumps(resolved, indent=2),
+        "options.txt": shlex.join(options),
+        "git.txt": git_state(),
+        "start.json": json.dumps(about, indent=2),
+    }
+    for name, text in files.items():
+        write_text(folder / name, text)
+    write_sums(folder, files)
 
 
 def starts(run_dir: Path) -> list[Path]:
@@ -124,13 +131,14 @@ def saved_options(run_dir: Path, total_steps: float = float("inf")) -> list[str]
     Options accumulate: a resumed run keeps those of its earlier starts unless they were given anew.
 
     Raises:
-        UserError: If a record cannot be read.
+        UserError: If a record cannot be read, or is damaged.
     """
     options: list[str] = []
     old = run_dir / "options.txt"  # runs of earlier versions kept the last start alone
     if old.is_file():
         options += _words(old)
     for folder in starts(run_dir):
+        check_sums(folder, "or")
         about = _read(folder / "start.json")
         if about is not None and about["total_steps"] < total_steps:
             options += _words(folder / "options.txt")
@@ -184,6 +192,9 @@ class _Both:
             self._file.flush()
 
     def _write_file(self, text: str) -> None:
+        if self._file is not None and not self._path.exists():  # the folder was removed
+            self._file.close()
+            self._file = None
         if self._file is None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._path.open("a", encoding="utf-8")

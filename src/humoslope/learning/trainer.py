@@ -25,6 +25,7 @@ from humoslope.learning.learner import Learner, Transition
 from humoslope.learning.logger import CurveWriter, ProgressLine
 from humoslope.learning.policy import load_weights, parent_record, spec_of, spec_state
 from humoslope.learning.rng import restore_rng, rng_state, seed_everything
+from humoslope.memory import free_memory
 from humoslope.packing import pack
 from humoslope.provenance import commit
 from humoslope.registry import TaskCfg
@@ -61,6 +62,7 @@ class Trainer:
         iteration: Number of iterations that are done.
         onlookers: Who looks on. One that fails is dismissed, and training goes on.
         stopped_by: The signal that ended the last `train` early, 0 if none did.
+        on_lost_folder: Called when the run folder was removed and made anew.
 
     Raises:
         UserError: If the configuration of the agent is impossible or does not fit the environment.
@@ -89,6 +91,7 @@ class Trainer:
         self._half_learnt = False  # an update has begun that has not ended well
         self.stopped_by = 0
         self._goes_on = False  # the episodes are those of a run that was stopped
+        self.on_lost_folder: Callable[[], object] = lambda: None
 
     def train(self) -> bool:
         """Trains up to the configured number of iterations.
@@ -117,6 +120,7 @@ class Trainer:
                 stopping = False
                 while self.iteration < last and not stopping:
                     values = self.iterate()
+                    self._keep_folder(curves)
                     curves.write(self.iteration - 1, values)
                     line.show(self.iteration - 1, values)
                     self._report_physics(values)
@@ -309,7 +313,7 @@ class Trainer:
         one before it are removed after it.
         """
         content = checkpoint.encoded(path, self.state())
-        state = self.env.snapshot() if self._processes.size == 1 else None
+        state = self._snapshot()
         if state is not None:
             kept = {"checkpoint": hashlib.sha256(content).hexdigest(), "state": state}
             write_bytes(_episodes_of(path), checkpoint.encoded_sealed(kept))
@@ -321,6 +325,21 @@ class Trainer:
         for old in path.parent.glob(f"{EPISODES}_*.pt"):
             if old != _episodes_of(path):
                 old.unlink(missing_ok=True)
+
+    def _snapshot(self) -> dict[str, Any] | None:
+        """The state of all episodes; None if it cannot be continued, or there is no memory for it."""
+        if self._processes.size > 1:
+            return None
+        # As a copy, as a file, and once more while that grows.
+        need, free = 3 * self.env.snapshot_bytes(), free_memory(torch.device("cpu"))
+        if need <= free:
+            return self.env.snapshot()
+        self._console.print(
+            f"[yellow]The episodes are not kept: that needs {need / 2**30:.1f} GiB of memory, and only "
+            f"{free / 2**30:.1f} GiB are free. A run that resumes from here begins them anew.[/yellow]",
+            soft_wrap=True,
+        )
+        return None
 
     def _now(self) -> float:
         """The time, s, once the device has done what it was asked for."""
@@ -377,8 +396,6 @@ class Trainer:
         if self.run_dir is None:
             return
         path = self._model_path()
-        if not self.run_dir.is_dir():
-            self._console.print(f"[yellow]The run folder {self.run_dir} was removed; it is made anew.[/yellow]")
         try:
             self._save_with_episodes(path)
         except UserError as error:
@@ -386,6 +403,19 @@ class Trainer:
         self._last_saved = path
         curves.flush()
         curves.upload(path, self.iteration - 1)
+
+    def _keep_folder(self, curves: CurveWriter) -> None:
+        """Makes the run folder anew if it was removed: that is no reason to end a training."""
+        if self.run_dir is None or self.run_dir.is_dir():
+            return
+        self._console.print(
+            f"[yellow]The run folder {self.run_dir} was removed; it is made anew, without what was in it.[/yellow]",
+            soft_wrap=True,
+        )
+        self._last_saved = None
+        self.run_dir.mkdir(parents=True, exist_ok=True)
+        self.on_lost_folder()
+        curves.renew()
 
     def _model_path(self) -> Path:
         assert self.run_dir is not None

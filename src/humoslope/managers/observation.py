@@ -14,6 +14,7 @@ from torch import Tensor
 
 from humoslope.errors import UserError
 from humoslope.managers.terms import StatefulTerm, StatefulTerms, TermCfg, Terms, bind, first_value
+from humoslope.memory import require_memory
 from humoslope.ranges import Finite, NotNegative, Range, check_config
 from humoslope.strict import StrictCfg
 
@@ -164,6 +165,9 @@ class ObservationGroup:
         noise = torch.cat([torch.full((width, *ones), float(t.noise)) for width, (_, t) in terms])
         self._scale = scale.to(env.device)  # [D, 1...]
         self._noise = noise.to(env.device) * self._scale
+        # The history, the next one while it is made, and the filled one of envs that begin; in single precision.
+        each = 3 * 4 * env.num_envs * frame * math.prod(rest)
+        require_memory(f"observation group '{name}'.history", self.history, each, device=env.device)
         self._history = env.zeros(*self.shape)  # [N, H * D, ...]
         columns = torch.arange(frame, device=env.device).split(self._widths)
         self._places = torch.cat([column.repeat(self.history) for column in columns])  # [H * D] column of the frame

@@ -13,13 +13,16 @@ import trimesh
 
 from humoslope.errors import UserError
 from humoslope.files import temporary_folder, write_text
+from humoslope.interrupts import die_with_parent
 from humoslope.replay.shapes import Shape, joined
 from humoslope.scene.robot import MeshSource
+from humoslope.seal import SUMS, check_sums, write_sums
 
 CACHE = Path(".meshes")
 """Cache folder, below the current one; git ignores it."""
 INDEX = "visuals.json"
-"""File with the names of the robots and the mesh of each link; written last, so that a folder with it is complete."""
+"""File with the names of the robots and the mesh of each link; written after the meshes, so that a folder with it is
+complete."""
 
 
 def fetch_meshes(source: MeshSource, cache: Path = CACHE) -> Path:
@@ -38,12 +41,14 @@ def fetch_meshes(source: MeshSource, cache: Path = CACHE) -> Path:
                 except KeyError:
                     raise UserError(f"{source.package} {source.version} has no {source.folder}/{file}.") from None
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / INDEX).unlink(missing_ok=True)
+        for name in (INDEX, SUMS):
+            (folder / name).unlink(missing_ok=True)
         for file, content in meshes.items():
             (folder / file).write_bytes(content)
     write_text(folder / "LICENCE.txt", source.licence + "\n")
     index = {"robots": source.robots, "visuals": [vars(visual) for visual in source.visuals]}
     write_text(folder / INDEX, json.dumps(index, indent=2) + "\n")
+    write_sums(folder, [*meshes, INDEX])
     return folder
 
 
@@ -58,6 +63,7 @@ def load_meshes(robot: str, cache: Path = CACHE) -> dict[str, Shape]:
             index = json.loads(path.read_text(encoding="utf-8"))
             if robot not in index["robots"]:
                 continue
+            check_sums(path.parent, "`humoslope meshes` fetches them anew, or")
             shapes: dict[str, list[Shape]] = {}
             for visual in index["visuals"]:
                 shapes.setdefault(visual.pop("link"), []).append(_shape(path.parent, **visual))
@@ -88,7 +94,8 @@ def _download(source: MeshSource, folder: Path) -> Path:
     wanted.write_text(f"{source.package}=={source.version} --hash=sha256:{source.sha256}\n")
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--disable-pip-version-check"]
     options = ["--only-binary", ":all:", "--require-hashes", "--requirement", str(wanted), "--dest", str(folder)]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    words = [*command, *options]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, preexec_fn=die_with_parent)
     if done.returncode:
         if "DO NOT MATCH THE HASHES" in done.stderr:
             raise UserError(

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.errors import UserError, require_not_negative, require_positive
+from humoslope.errors import UserError
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.learning.policy import Provenance
 from humoslope.managers import EventTermCfg, RewardTermCfg, Terms
@@ -23,6 +23,7 @@ from humoslope.mdp.bsga import ComHeight
 from humoslope.mdp.events import push
 from humoslope.mdp.zmp import ZmpRegulariser
 from humoslope.provenance import git_state, plain
+from humoslope.ranges import Checked, Finite, NotNegative, Positive, Seed, Share, Timestep
 from humoslope.replay import events
 from humoslope.replay.recorder import RolloutRecorder
 from humoslope.replay.rollout import Columns, Event, Rollout
@@ -38,7 +39,7 @@ SHORTEST = 10.0
 
 
 @dataclass(frozen=True)
-class RecordProtocol:
+class RecordProtocol(Checked):
     """Terrain, command and physics of a recording: one env, without noise, harness and randomisation but of the start.
 
     Attributes:
@@ -55,27 +56,24 @@ class RecordProtocol:
         seed: Seed of the random start and the pushes.
     """
 
+    VERB: ClassVar[str] = "record"
+
     terrain: str = "ramp-up"
-    grade: float | None = None
-    level: float | None = None
-    seconds: float = 60.0
-    speed: float = 0.5
-    push: float = 0.0
-    push_every: float = 5.0
-    timestep: float = 0.005
-    friction: float = 0.8
-    friction_margin: float = 0.3
-    seed: int = 0
+    grade: Finite | None = None
+    level: Share | None = None
+    seconds: Positive = 60.0
+    speed: Positive = 0.5
+    push: NotNegative = 0.0
+    push_every: Positive = 5.0
+    timestep: Timestep = 0.005
+    friction: NotNegative = 0.8
+    friction_margin: NotNegative = 0.3
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.grade is not None and self.level is not None:
             raise UserError("record: give a grade or a level, not both.")
-        if self.level is not None and not 0.0 <= self.level <= 1.0:
-            raise UserError(f"record: level {self.level:g} must be between 0 and 1.")
-        require_positive(
-            "record", seconds=self.seconds, speed=self.speed, push_every=self.push_every, timestep=self.timestep
-        )
-        require_not_negative("record", push=self.push, friction=self.friction, friction_margin=self.friction_margin)
 
     def resolve_grade(self) -> float:
         """Returns the grade, degrees.

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from humoslope.errors import UserError
+from humoslope.memory import require_memory
 from humoslope.scene.drives import Drives
 from humoslope.scene.signals import Signals
 from humoslope.sim.protocol import Simulation
@@ -58,6 +59,10 @@ class Measurements:
         """Keeps enough readings for ages of up to `age_s`. Must be called before such an age is set."""
         steps = math.ceil(age_s / self._timestep - ROUNDING)
         if steps > max(1, len(self._past)):
+            kept = sum(value.shape[1] for value in self._present())
+            # Kept once, and once more while a moment between two of them is found; in single precision.
+            each = 2 * 4 * self._sim.num_worlds * kept
+            require_memory("the number of past readings", steps, each, device=self._sim.device)
             last = self._past[-1] if self._past else self._signals.own_sensors()
             self._past += [last] * (steps - len(self._past))
 

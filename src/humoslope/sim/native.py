@@ -160,6 +160,11 @@ class NativeSimulation:
             "readings": {field: values.clone() for field, values in self._readings.items()},
         }
 
+    def snapshot_bytes(self) -> int:
+        """See `Simulation.snapshot_bytes`."""
+        tensors = (*self._expanded.values(), *self._readings.values())
+        return self._rows.nbytes + self._warning.nbytes + sum(tensor.nbytes for tensor in tensors)
+
     def restore(self, snapshot: dict[str, Any]) -> None:
         """See `Simulation.restore`."""
         for field, values in snapshot["expanded"].items():

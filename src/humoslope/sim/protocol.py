@@ -120,6 +120,10 @@ class Simulation(Protocol):
         this backend cannot go on from one exactly."""
         ...
 
+    def snapshot_bytes(self) -> int:
+        """Returns the memory that a snapshot takes, bytes; 0 if there is none."""
+        ...
+
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Goes on from a snapshot of a simulation of the same model and size."""
         ...

@@ -210,6 +210,10 @@ class WarpSimulation:
         """See `Simulation.snapshot`. A GPU finds contacts in any order, so that no two runs agree to the last digit."""
         return None
 
+    def snapshot_bytes(self) -> int:
+        """See `Simulation.snapshot_bytes`."""
+        return 0
+
     def restore(self, snapshot: dict[str, Any]) -> None:
         """See `Simulation.restore`.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humoslope.errors import UserError
+from humoslope.memory import require_memory
 from humoslope.ranges import NotNegative, Range, Seed, check_config
 from humoslope.terrain import registry
 
@@ -27,6 +28,8 @@ SLOPE_KEPT = 0.5
 
 MOST_HEIGHTS = 20_000_000
 """Most heights of a ground: with what is derived from them they take some 2 GB, and a minute or two to draw. Ours."""
+BYTES_PER_HEIGHT = 100
+"""Memory that a height takes with what is derived from it, as above."""
 
 Metres = Annotated[float, Range(0.001, 10_000.0)]
 
@@ -200,6 +203,7 @@ def _check_extents(layout: TerrainGridCfg | TileRowCfg) -> None:
             f"{heights / 1e6:.0f} million heights, of which there is room for {MOST_HEIGHTS / 1e6:.0f} million; choose "
             f"a cell of at least {finest:.2g} m, or fewer or smaller tiles."
         )
+    require_memory("the number of heights of the ground", round(heights), BYTES_PER_HEIGHT)
 
 
 def _tiles_of(layout: TerrainGridCfg | TileRowCfg) -> tuple[int, int]:

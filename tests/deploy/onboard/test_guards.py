@@ -143,7 +143,7 @@ def test_only_the_contracts_gains_hold_a_joint(contract: Contract) -> None:
 def test_limits_that_are_none_are_refused() -> None:
     with pytest.raises(UserError, match="limits: slew_rad_s is 0; it must be positive"):
         Limits(slew_rad_s=0.0)
-    with pytest.raises(UserError, match="a tilt must be below 90"):
+    with pytest.raises(UserError, match="tilt_deg is .*; it must be between 0 and 90, both excluded"):
         Limits(tilt_deg=120.0)
 
 

@@ -69,5 +69,5 @@ def test_values_are_judged_by_wilsons_bound_after_as_many_trials_as_it_takes() -
     assert Rule(trials=2, confidence=0.5).judge(1, 2) is False
     with pytest.raises(UserError, match="51 trials cannot show 95 %.*at least 52 are needed"):
         Rule(trials=51)
-    with pytest.raises(UserError, match="share 2"):
+    with pytest.raises(UserError, match="share is 2"):
         Rule(share=2.0)

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from humoslope.evaluation.report.paper import FILE, Paper, read_paper
 from humoslope.evaluation.report.results import Result, Training, read_results
 from humoslope.evaluation.report.table import Column, Row, Sheet
 from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
-from humoslope.statistics import average, proportion
+from humoslope.statistics import Average, average, proportion
 from tests.evaluation.made_up import GRADES, report, sweep, write
 
 STAGE2, URL = "HumoSlope-Stage2-Unitree-G1", "URL-TerrainRelative-Unitree-G1"
@@ -264,6 +265,33 @@ def test_the_screen_shows_every_figure_and_interval_and_each_name_once():
     ):
         assert part in said
     assert said.count("0°") == 1
+
+
+def shown(sheet: Sheet, width: int, terminal: bool = True) -> list[str]:
+    out = io.StringIO()
+    sheet.show(Console(file=out, width=width, force_terminal=terminal, no_color=True))
+    return [re.sub(r"\x1b\[[\d;]*m", "", line).rstrip() for line in out.getvalue().splitlines()]
+
+
+def test_a_narrow_terminal_gets_several_tables_that_fit_with_every_figure(results, paper):
+    for sheet in (SHEET, main_table(results, paper)):
+        for width in (139, 80, 50):
+            lines = shown(sheet, width)
+            assert max(map(len, lines)) <= width
+            assert sum(line.strip().startswith("method") for line in lines) == len(sheet.parts(width))
+            said = "\n".join(lines)
+            for column, value in ((c, v) for row in sheet.rows for c, v in zip(sheet.columns, row.values, strict=True)):
+                if isinstance(value, Average):
+                    assert f"{value.mean:.{column.digits}f}" in said
+            assert lines[0].startswith(sheet.title[:20])
+    assert [len(part.columns) for part in SHEET.parts(40)] == [1, 2]
+    assert [len(part.columns) for part in SHEET.parts(1)] == [1, 1, 1]  # one column is always shown
+    assert len(SHEET.parts(1000)) == 1
+
+
+def test_where_there_is_no_terminal_a_table_is_whole(results, paper):
+    sheet = main_table(results, paper)
+    assert sum("method" in line for line in shown(sheet, 80, terminal=False)) == 1
 
 
 def test_markdown_has_a_row_for_each_and_the_papers_in_italics():

@@ -157,11 +157,11 @@ def test_nothing_walked_is_refused_and_not_a_crash() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"percentile": 100.0}, "percentile 100"),
-        ({"percentile": math.nan}, "percentile nan"),
-        ({"bin_width": 0.0}, "bin_width 0"),
+        ({"percentile": 100.0}, "percentile is 100; it must be between 50 and 100, 100 excluded"),
+        ({"percentile": math.nan}, "percentile is nan"),
+        ({"bin_width": 0.0}, "bin_width is 0"),
         ({"least_samples": 0}, "least_samples is 0"),
-        ({"theta_clip": 90.0}, "theta_clip 90"),
+        ({"theta_clip": 90.0}, "theta_clip is 90"),
     ],
 )
 def test_an_impossible_fit_is_refused_in_one_sentence(change: dict[str, Any], said: str) -> None:

@@ -105,8 +105,8 @@ def test_nothing_walked_is_nothing_gathered() -> None:
         ({"speed": 0.0}, "speed is 0; it must be positive"),
         ({"swing_force": 0.0}, "swing_force is 0; it must be positive"),
         ({"speed_tolerance": math.nan}, "speed_tolerance is nan"),
-        ({"swing_settle": -0.1}, "no swing counts from -0.1 to 0.6 s after lift-off"),
-        ({"swing_settle": 0.7}, "swing_longest no less than it"),
+        ({"swing_settle": -0.1}, "swing_settle is -0.1; it must be 0 or more"),
+        ({"swing_settle": 0.7}, "no swing counts from 0.7 to 0.6 s after lift-off; swing_longest must be no less"),
         ({"starts": 0}, "starts is 0"),
     ],
 )

@@ -50,10 +50,10 @@ def test_steering_is_the_documented_correction(y: float, heading: float) -> None
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"grades": ()}, "grades are \\[\\]"),
-        ({"grades": (10.0, 10.0)}, "each once"),
-        ({"grades": (-5.0,)}, "each must be 0 or more"),
-        ({"tiers": (math.nan,)}, "each must be 0 or more"),
+        ({"grades": ()}, "grades is \\(\\); it must have at least one"),
+        ({"grades": (10.0, 10.0)}, "give each once"),
+        ({"grades": (-5.0,)}, "of each, it must be 0 or more \\(too low\\)"),
+        ({"tiers": (math.nan,)}, "of each, it must be 0 or more \\(not finite\\)"),
         ({"trials": 0}, "trials is 0"),
         ({"speed": 0.0}, "speed is 0"),
         ({"timeout_s": math.inf}, "timeout_s is inf"),

@@ -17,6 +17,7 @@ from humoslope.errors import UserError
 from humoslope.learning.fasttd3.config import FastTd3Cfg
 from humoslope.learning.fasttd3.learner import FastTd3, _half_mirrored
 from humoslope.learning.learner import Transition
+from humoslope.learning.policy import PolicySpec
 from humoslope.learning.symmetry import Mirror
 from humoslope.registry import build_task
 
@@ -272,12 +273,12 @@ def test_half_of_a_batch_is_mirrored(make_stage1: Callable[..., Any]) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"gamma": 1.0}, r"agent\.gamma is 1; it must be between 0 and 1, 1 excluded\."),
+        ({"gamma": 1.0}, r"agent\.gamma is 1; it must be between 0 and 1, 1 excluded \(too high\)\."),
         ({"v_min": 3.0, "v_max": 3.0}, "agent.v_min 3 must be less than v_max 3."),
-        ({"num_atoms": 1}, r"agent\.num_atoms is 1; it must be 2 or more\."),
+        ({"num_atoms": 1}, r"agent\.num_atoms is 1; it must be 2 or more \(too low\)\."),
         ({"exploration_std": (0.3, 0.1)}, r"agent\.exploration_std is \(0\.3, 0\.1\); it must be \(lowest, highest\)"),
         ({"critic_hidden_dims": ()}, r"agent.critic_hidden_dims is \(\); it must have at least one\.$"),
-        ({"batch_size": 0}, r"agent\.batch_size is 0; it must be 1 or more\."),
+        ({"batch_size": 0}, r"agent\.batch_size is 0; it must be 1 or more \(too low\)\."),
     ],
 )
 def test_impossible_values_are_refused(changes: dict[str, Any], said: str) -> None:
@@ -288,6 +289,23 @@ def test_impossible_values_are_refused(changes: dict[str, Any], said: str) -> No
 def test_a_buffer_shorter_than_a_window_is_refused() -> None:
     with pytest.raises(UserError, match="agent.buffer_steps 4 must be more than 4: the frames of a history, and"):
         FastTd3(Wheel(), small(buffer_steps=4))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"batch_size": 1_000_000}, "agent.batch_size is 1,000,000, which needs"),
+        ({"num_atoms": 1_000_000}, "the number of a critic's weights is"),
+        ({"hidden_dims": (16_384, 16_384)}, "the number of the actor's weights is 268,"),
+    ],
+)
+def test_what_memory_does_not_hold_is_refused_before_it_is_built(
+    monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], said: str
+) -> None:
+    monkeypatch.setattr("humoslope.memory.available", lambda: 50_000_000)
+    monkeypatch.setattr(PolicySpec, "build", None)
+    with pytest.raises(UserError, match=f"{said}.* GiB are free, enough for [1-9]"):
+        FastTd3(Wheel(), small(**changes))
 
 
 def test_presets_are_those_of_the_authors_and_a_smaller_one() -> None:

@@ -91,7 +91,7 @@ def test_the_camera_follows_without_bobbing_and_does_not_fly_between_falls(alter
         ({"fps": 0.0}, "fps is 0"),
         ({"width": 961}, "width is 961; it must be even"),
         ({"height": 10}, "height is 10"),
-        ({"start": -1.0}, "start must be 0 or more"),
+        ({"start": -1.0}, "start is -1; it must be 0 or more"),
         ({"workers": -1}, "workers is -1"),
         ({"start": 9.0}, "start is 9 s, but the rollout ends at 4 s"),
     ],

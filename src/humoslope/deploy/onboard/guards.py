@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.onboard.messages import Command, Reading
 from humoslope.deploy.quantities import Array, Measured
-from humoslope.errors import UserError, require_positive
+from humoslope.ranges import Checked, Count, Positive, Range
+
+Tilt = Annotated[float, Range(0.0, 90.0, open_low=True, open_high=True)]
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(Checked):
     """Limits beyond which the motors are damped. The defaults let the shipped policies walk untouched.
 
     Attributes:
@@ -29,19 +32,16 @@ class Limits:
         hottest_c: Highest temperature of a motor, degrees Celsius.
     """
 
-    tilt_deg: float = 57.0
-    start_tilt_deg: float = 30.0
-    start_pose_rad: float = 1.0
-    slew_rad_s: float = 50.0
-    stop_torque: float = 0.5
-    silent_s: float = 0.1
-    missed_ticks: int = 3
-    hottest_c: float = 90.0
+    VERB: ClassVar[str] = "limits"
 
-    def __post_init__(self) -> None:
-        require_positive("limits", **vars(self))
-        if max(self.tilt_deg, self.start_tilt_deg) >= 90.0:
-            raise UserError("limits: a tilt must be below 90 degrees.")
+    tilt_deg: Tilt = 57.0
+    start_tilt_deg: Tilt = 30.0
+    start_pose_rad: Positive = 1.0
+    slew_rad_s: Positive = 50.0
+    stop_torque: Positive = 0.5
+    silent_s: Positive = 0.1
+    missed_ticks: Count = 3
+    hottest_c: Positive = 90.0
 
 
 def tilt_deg(quat_w: Array) -> float:

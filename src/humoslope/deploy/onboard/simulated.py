@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -22,7 +23,8 @@ from humoslope.deploy.onboard.messages import Command, Inbox, Reading, Remote
 from humoslope.deploy.onboard.unitree_g1 import MODE_MACHINE
 from humoslope.deploy.quantities import Array
 from humoslope.deploy.world import World
-from humoslope.errors import UserError, require_not_negative, unknown
+from humoslope.errors import UserError, unknown
+from humoslope.ranges import Checked, Finite, NotNegative, Share
 
 GANTRY_N_M, GANTRY_NS_M = 4000.0, 400.0
 """Stiffness and damping of the rope in each direction, of a robot of 35 kg."""
@@ -40,7 +42,7 @@ NOISE_RAD, NOISE_RAD_S = 1e-5, 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
-class Faults:
+class Faults(Checked):
     """What is wrong with the robot's messages. The defaults are a sound robot.
 
     Attributes:
@@ -63,35 +65,28 @@ class Faults:
         error: Error code of the first motor.
     """
 
-    delay_s: float = 0.0
-    imu_delay_s: float = 0.0
-    drop: float = 0.0
-    corrupt: float = 0.0
-    silent_at_s: float | None = None
+    VERB: ClassVar[str] = "faults"
+
+    delay_s: NotNegative = 0.0
+    imu_delay_s: NotNegative = 0.0
+    drop: Share = 0.0
+    corrupt: Share = 0.0
+    silent_at_s: NotNegative | None = None
     swap: tuple[str, ...] = ()
     mirrored: bool = False
     flip: str = ""
-    velocity_scale: float = 1.0
-    gyro_sign: float = 1.0
+    velocity_scale: Finite = 1.0
+    gyro_sign: Finite = 1.0
     imu_tilt_deg: tuple[float, float] = (0.0, 0.0)
-    stiffness_scale: float = 1.0
-    damping_scale: float = 1.0
-    command_delay_s: float = 0.0
+    stiffness_scale: NotNegative = 1.0
+    damping_scale: NotNegative = 1.0
+    command_delay_s: NotNegative = 0.0
     mode_machine: int = MODE_MACHINE
-    temperature_c: float = 35.0
+    temperature_c: Finite = 35.0
     error: int = 0
 
     def __post_init__(self) -> None:
-        require_not_negative(
-            "faults",
-            delay_s=self.delay_s,
-            imu_delay_s=self.imu_delay_s,
-            drop=self.drop,
-            corrupt=self.corrupt,
-            stiffness_scale=self.stiffness_scale,
-            damping_scale=self.damping_scale,
-            command_delay_s=self.command_delay_s,
-        )
+        super().__post_init__()
         if self.swap and len(self.swap) != 2:
             raise UserError(f"faults: swap needs two joints, not {len(self.swap)}.")
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.player import Trial, TrialCfg
 from humoslope.evaluation.margins.trials import Setup
+from humoslope.ranges import Checked, NotNegative
 
 Name = Literal[
     "friction", "load", "delay", "strength-low", "strength-high", "encoder-bias", "imu-tilt", "push", "slope-up",
@@ -121,7 +122,7 @@ def quantities(contract: Contract, nominal: TrialCfg) -> dict[Name, Quantity]:
 
 
 @dataclass(frozen=True)
-class Success:
+class Success(Checked):
     """Definition of a successful trial, for all quantities: no fall, and from 2 s on, on average, these errors at most.
 
     Attributes:
@@ -130,9 +131,11 @@ class Success:
         yaw_rate_error: Largest difference from a commanded yaw rate, rad/s.
     """
 
-    speed_error: float = 0.15
-    lateral_speed: float = 0.1
-    yaw_rate_error: float = 0.1
+    VERB: ClassVar[str] = "margins"
+
+    speed_error: NotNegative = 0.15
+    lateral_speed: NotNegative = 0.1
+    yaw_rate_error: NotNegative = 0.1
 
     def __call__(self, trial: Trial, cfg: TrialCfg) -> bool:
         """Returns whether the trial succeeded; NaN, "not measured", does not."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
 
 from humoslope.errors import UserError
+from humoslope.ranges import Checked, Count, Range
 from humoslope.statistics import proportion
 
 GUARDS = 2
@@ -16,7 +18,7 @@ FIRST_LOOK = 16
 
 
 @dataclass(frozen=True)
-class Rule:
+class Rule(Checked):
     """Rule by which a value is judged.
 
     Attributes:
@@ -25,16 +27,14 @@ class Rule:
         confidence: One-sided confidence of Wilson's bound on the share; 0.5 takes the observed share itself.
     """
 
-    trials: int = 256
-    share: float = 0.95
-    confidence: float = 0.95
+    VERB: ClassVar[str] = "margins"
+
+    trials: Count = 256
+    share: Annotated[float, Range(0.0, 1.0, open_low=True, open_high=True)] = 0.95
+    confidence: Annotated[float, Range(0.5, 1.0, open_high=True)] = 0.95
 
     def __post_init__(self) -> None:
-        if self.trials < 1 or not 0.0 < self.share < 1.0 or not 0.5 <= self.confidence < 1.0:
-            raise UserError(
-                f"margins: trials {self.trials}, share {self.share:g} and confidence {self.confidence:g} must be at "
-                "least 1, between 0 and 1, and at least 0.5 and below 1."
-            )
+        super().__post_init__()
         if self.judge(self.trials, self.trials) is not True:
             enough = next(n for n in range(1, 1_000_000) if self.lower(n, n) >= self.share)
             raise UserError(

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from tensorboard.backend.event_processing.event_accumulator import SCALARS, EventAccumulator
+from google.protobuf.message import DecodeError
+from tensorboard.compat.proto.event_pb2 import Event
+from tensorboard.compat.tensorflow_stub.errors import DataLossError, OutOfRangeError
+from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import PyRecordReader_New
 
 from humoslope.errors import UserError
 from humoslope.files import write_text
 from humoslope.plotting import INK, dress, new_figure, save_figure
+from humoslope.seal import beside, check_sums, write_sums
 from humoslope.statistics import Array
 
 if TYPE_CHECKING:
@@ -89,8 +93,9 @@ def read_table(path: Path) -> dict[str, Curve]:
     """Curves from a table of `write_table`.
 
     Raises:
-        UserError: If the file is not such a table.
+        UserError: If the file is not such a table, or was damaged since.
     """
+    check_sums(path.parent, "draw it anew from its run, or", beside(path))
     try:
         rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
         tags = [tag for tag in rows[0] if tag != ITERATION]
@@ -102,7 +107,7 @@ def read_table(path: Path) -> dict[str, Curve]:
 def write_table(curves: Mapping[str, Curve], path: Path) -> None:
     """Writes the curves that `draw` and `compare` show as CSV: a line for each iteration, to five digits.
 
-    Event files are large and stay with the run; this table is what is kept of them.
+    Event files are large and stay with the run; this table is what is kept of them. Its checksum is put beside it.
     """
     tags = [tag for tag in (STEPS, *KEPT) if tag in curves]
     out = io.StringIO()
@@ -113,6 +118,7 @@ def write_table(curves: Mapping[str, Curve], path: Path) -> None:
         # Steps are whole, and must not be rounded.
         table.writerow([iteration, *("" if v is None else f"{v:.0f}" if v >= 1e5 else f"{v:.5g}" for v in values)])
     write_text(path, out.getvalue())
+    write_sums(path.parent, [path.name], beside(path))
 
 
 def draw(curves: Mapping[str, Curve], title: str, out: Path) -> None:
@@ -158,8 +164,33 @@ def _draw_panel(axis: Axes, panel: Panel, steps: Curve, curve: Curve) -> None:
 
 
 def _read(path: Path) -> tuple[float, dict[str, Curve]] | None:
-    """Start time of an event file and its scalars; None if it has none."""
-    events = EventAccumulator(str(path), size_guidance={SCALARS: 0})  # 0: all of them
-    events.Reload()
-    curves = {tag: {e.step: e.value for e in events.Scalars(tag)} for tag in events.Tags()[SCALARS]}
-    return (events.FirstEventTimestamp(), curves) if curves else None
+    """Start time of an event file and its scalars; None if it has none.
+
+    Its end may be missing, as a killed process leaves it.
+
+    Raises:
+        UserError: If one of its records is damaged. What tensorboard itself shows ends there, without a word.
+    """
+    begun, curves = None, dict[str, Curve]()
+    for event in _events(path):
+        begun = event.wall_time if begun is None else begun
+        for value in event.summary.value:
+            if value.HasField("simple_value"):
+                curves.setdefault(value.tag, {})[event.step] = value.simple_value
+    return (begun, curves) if begun is not None and curves else None
+
+
+def _events(path: Path) -> Iterator[Event]:
+    reader = PyRecordReader_New(str(path))
+    while True:
+        try:
+            reader.GetNext()
+            yield Event.FromString(reader.record())
+        except OutOfRangeError:
+            return
+        except DataLossError as error:
+            if "truncated" in str(error):
+                return
+            raise UserError(f"the curves in '{path}' are damaged; without that file the rest can be drawn.") from None
+        except DecodeError:
+            raise UserError(f"'{path}' holds something else than curves.") from None

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from rich.box import SIMPLE_HEAD
@@ -13,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from humoslope.evaluation.report.seeds import Estimate
+from humoslope.seal import sealed_json
 from humoslope.statistics import Average, Proportion
 
 Value = float | Proportion | Average | Estimate | str | None
@@ -107,11 +107,37 @@ class Sheet:
             table.add_row("" if row.more else name, *cells, style=style, end_section=last)
         return table
 
-    def show(self) -> None:
-        """Prints the table. A terminal that is too narrow wraps its lines; a squeezed table would lose figures."""
-        table = self.to_rich()
-        width = Console(width=1000).measure(table).maximum
-        Console(width=max(Console().width, width)).print(table)
+    def show(self, console: Console | None = None) -> None:
+        """Prints the table: on a terminal in as many tables as its width asks for, elsewhere in one.
+
+        Columns are never squeezed, which would lose figures; a terminal that has no room for the first column and
+        another one wraps their lines.
+        """
+        console = console or Console()
+        for part in self.parts(console.width) if console.is_terminal else [self]:
+            table = part.to_rich()
+            wide = max(console.width, _width_of(table))
+            Console(file=console.file, width=wide, force_terminal=console.is_terminal).print(table)
+
+    def parts(self, width: int) -> list[Sheet]:
+        """The table in tables of neighbouring columns, none wider than `width` characters unless a single column is.
+        The first has the title, the last the notes."""
+        if not self.columns:
+            return [self]
+        parts, first = [], 0
+        for last in range(1, len(self.columns) + 1):
+            whole = last == len(self.columns)
+            if whole or _width_of(self._of(first, last + 1).to_rich()) > width:
+                parts.append(self._of(first, last))
+                first = last
+        parts[0] = replace(parts[0], title=self.title)
+        parts[-1] = replace(parts[-1], notes=self.notes)
+        return parts
+
+    def _of(self, first: int, last: int) -> Sheet:
+        """The columns from `first` on and before `last`."""
+        rows = (replace(row, values=row.values[first:last]) for row in self.rows)
+        return Sheet("", self.columns[first:last], tuple(rows))
 
     def to_markdown(self) -> str:
         """The table as Markdown."""
@@ -145,9 +171,8 @@ class Sheet:
         return out.getvalue()
 
     def to_json(self) -> str:
-        """The table as JSON: as `to_csv`, with the notes."""
-        whole = {"title": self.title, "notes": self.notes, "rows": self.records()}
-        return json.dumps(whole, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+        """The table as sealed JSON: as `to_csv`, with the notes."""
+        return sealed_json({"title": self.title, "notes": self.notes, "rows": self.records()})
 
     def records(self) -> list[dict[str, Any]]:
         """Every row as a mapping from names to values; all rows have the same names."""
@@ -185,6 +210,11 @@ def _lines(value: Value, column: Column) -> str:
         shown = [f"{figure:{sign}.{column.digits}f}" for figure in figures]
         return shown[0] + (f"\n{shown[1]} to {shown[2]}" if len(shown) > 1 else "")
     return f"{value:.{column.digits}f}"
+
+
+def _width_of(table: Table) -> int:
+    """Characters that a table takes without being squeezed."""
+    return Console(width=10_000).measure(table).maximum
 
 
 def _fields(value: Value, column: Column) -> dict[str, float | str | None]:

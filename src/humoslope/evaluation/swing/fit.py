@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -13,6 +14,7 @@ from rich.table import Table
 
 from humoslope.errors import UserError
 from humoslope.evaluation.swing.samples import SwingSamples
+from humoslope.ranges import Checked, Range
 from humoslope.slope.swing import PRIOR, SwingCalibration
 
 LEAST_LEVEL = 1
@@ -22,7 +24,7 @@ LEAST_UPHILL = 3
 
 
 @dataclass(frozen=True)
-class Fit:
+class Fit(Checked):
     """Settings of the fit.
 
     Attributes:
@@ -34,20 +36,12 @@ class Fit:
             paper's benchmark.
     """
 
-    percentile: float = 90.0
-    bin_width: float = 2.5
-    least_samples: int = 500
-    theta_clip: float = 30.0
+    VERB: ClassVar[str] = "calibrate"
 
-    def __post_init__(self) -> None:
-        if not 50.0 <= self.percentile < 100.0:
-            raise UserError(f"calibration: percentile {self.percentile:g} must be at least 50 and below 100.")
-        if not 0.0 < self.bin_width <= 15.0:
-            raise UserError(f"calibration: bin_width {self.bin_width:g} must be above 0 and at most 15 degrees.")
-        if self.least_samples < 1:
-            raise UserError(f"calibration: least_samples is {self.least_samples}; it must be at least 1.")
-        if not 0.0 < self.theta_clip < 90.0:
-            raise UserError(f"calibration: theta_clip {self.theta_clip:g} must be between 0 and 90 degrees.")
+    percentile: Annotated[float, Range(50.0, 100.0, open_high=True)] = 90.0
+    bin_width: Annotated[float, Range(0.0, 15.0, open_low=True)] = 2.5
+    least_samples: Annotated[int, Range(1)] = 500
+    theta_clip: Annotated[float, Range(0.0, 90.0, open_low=True, open_high=True)] = 30.0
 
 
 @dataclass(frozen=True)

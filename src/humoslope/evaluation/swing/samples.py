@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -14,12 +15,13 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.env import ManagerBasedRlEnv
-from humoslope.errors import UserError, require_positive
+from humoslope.errors import UserError
 from humoslope.evaluation.common import rollout, to_host
-from humoslope.evaluation.ramps import APPROACH, RampProtocol
+from humoslope.evaluation.ramps import APPROACH, Grades, RampProtocol
 from humoslope.mdp.bsga import HIP_PITCH
 from humoslope.mdp.bsga_memory import SWING_FORCE, SWING_LONGEST, SWING_SETTLE, Swing
 from humoslope.mdp.selection import joint_pair
+from humoslope.ranges import Count, NotNegative, Positive
 from humoslope.statistics import Array
 
 CLEAR = 1.0
@@ -44,9 +46,12 @@ class SwingProtocol(RampProtocol):
         speed_tolerance: Largest difference of the mean speed from the commanded one at which samples count, m/s.
     """
 
-    grades: tuple[float, ...] = tuple(2.5 * i for i in range(-12, 13))
-    starts: int = 32
-    seconds: float = 15.0
+    VERB: ClassVar[str] = "calibrate"
+
+    grades: Grades = tuple(2.5 * i for i in range(-12, 13))
+    starts: Count = 32
+    speed: Positive = 0.5
+    seconds: Positive = 15.0
     # The law is that of straight walks.
     lateral: float = field(default=0.0, init=False)
     yaw_rate: float = field(default=0.0, init=False)
@@ -54,20 +59,17 @@ class SwingProtocol(RampProtocol):
     push: float = field(default=0.0, init=False)
     push_every: float = field(default=5.0, init=False)
     hip: str = HIP_PITCH
-    swing_force: float = SWING_FORCE
-    swing_settle: float = SWING_SETTLE
-    swing_longest: float = SWING_LONGEST
-    speed_tolerance: float = 0.2
+    swing_force: Positive = SWING_FORCE
+    swing_settle: NotNegative = SWING_SETTLE
+    swing_longest: NotNegative = SWING_LONGEST
+    speed_tolerance: Positive = 0.2
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(
-            "calibration", speed=self.speed, swing_force=self.swing_force, speed_tolerance=self.speed_tolerance
-        )
-        if not 0.0 <= self.swing_settle <= self.swing_longest:
+        if self.swing_settle > self.swing_longest:
             raise UserError(
-                f"calibration: no swing counts from {self.swing_settle:g} to {self.swing_longest:g} s after lift-off; "
-                "swing_settle must be 0 or more, and swing_longest no less than it."
+                f"calibrate: no swing counts from {self.swing_settle:g} to {self.swing_longest:g} s after lift-off; "
+                "swing_longest must be no less than swing_settle."
             )
 
 

@@ -72,8 +72,6 @@ def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console:
     Raises:
         UserError: If the plan is impossible, or a checkpoint is given twice.
     """
-    if plan.parallel_trials < 1:
-        raise UserError(f"evaluate: parallel_trials is {plan.parallel_trials}; each cell needs at least 1.")
     plan.protocol.find_course()
     sources = [source for source, _ in checkpoints]
     for i, source in enumerate(sources):

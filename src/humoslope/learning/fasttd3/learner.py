@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -20,6 +21,7 @@ from humoslope.learning.learner import Transition
 from humoslope.learning.networks import Normalisation
 from humoslope.learning.policy import PolicySpec, shapes_of
 from humoslope.learning.symmetry import Mirror, apply
+from humoslope.memory import require_memory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -63,8 +65,9 @@ class FastTd3:
     def __init__(self, env: ManagerBasedRlEnv, cfg: FastTd3Cfg) -> None:
         self.cfg, self._device = cfg, env.device
         self.spec = PolicySpec.of(env, "tanh-mlp", (ACTOR,), _actor_settings(cfg))
+        ((seen,), (num_obs,)), num_actions = shapes_of(env, (ACTOR, CRITIC)), self.spec.num_actions
+        _require_room(env, cfg, seen, num_obs, num_actions)
         self.policy = self.spec.build(env.device)
-        ((num_obs,),), num_actions = shapes_of(env, (CRITIC,)), self.spec.num_actions
         self.critics = Critics(num_obs, num_actions, cfg.critic_hidden_dims, cfg.num_atoms).to(env.device)
         self.targets = copy.deepcopy(self.critics).requires_grad_(False)
         self.normalizer = Normalisation(num_obs).to(env.device)  # of the critics' observations
@@ -263,6 +266,30 @@ def _make_replay(env: ManagerBasedRlEnv, cfg: FastTd3Cfg, num_actions: int) -> R
         )
     dtype = torch.float16 if cfg.half_precision_replay else torch.float32
     return Replay(layouts, env.num_envs, num_actions, cfg.buffer_steps, dtype, env.device)
+
+
+def _require_room(env: ManagerBasedRlEnv, cfg: FastTd3Cfg, seen: int, num_obs: int, num_actions: int) -> None:
+    """Raises UserError unless the networks and a batch fit into the free memory, by low estimates.
+
+    Args:
+        seen, num_obs: Sizes of the observations of actor and critics.
+    """
+    actor, critic = (
+        sum(a * b for a, b in pairwise(dims))
+        for dims in (
+            (seen, *cfg.hidden_dims, num_actions),
+            (num_obs + num_actions, *cfg.critic_hidden_dims, cfg.num_atoms),
+        )
+    )
+    # With gradients and two moments of AdamW, in single precision; of two critics slow copies as well.
+    require_memory("the number of the actor's weights", actor, 4 * 4, device=env.device)
+    require_memory("the number of a critic's weights", critic, (2 * 4 + 2) * 4, device=env.device)
+    # Observations of both ends, rows of a window's steps, what both critics' layers keep for their gradients, and four
+    # distributions of each while they are projected.
+    widths = 2 * (seen + num_obs) + 2 * sum(cfg.critic_hidden_dims) + 8 * cfg.num_atoms
+    each = 4 * widths + 8 * 3 * cfg.n_step
+    more = f" with {cfg.num_atoms} atoms and returns of {cfg.n_step} steps"
+    require_memory("agent.batch_size", cfg.batch_size, each, more, env.device)
 
 
 def _half_mirrored(batch: Batch, mirror: Mirror) -> Batch:

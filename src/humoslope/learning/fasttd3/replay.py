@@ -11,8 +11,8 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.errors import UserError
-from humoslope.learning.fasttd3.memory import free_memory
 from humoslope.managers.observation import ObservationGroup
+from humoslope.memory import free_memory
 
 SHARE_OF_FREE = 0.9
 """Share of the free memory that a buffer may take."""
@@ -212,8 +212,8 @@ def _require_room(num_envs: int, steps: int, numbers: int, dtype: torch.dtype, d
     beside = 4 + 1 + 1 + 2  # reward, two flags, age
     per_step = num_envs * (numbers * dtype.itemsize + beside)
     free = free_memory(device)
-    fit = int(SHARE_OF_FREE * free / per_step)
-    if steps > fit:
+    if steps * per_step > SHARE_OF_FREE * free:
+        fit = int(SHARE_OF_FREE * free / per_step)
         raise UserError(
             f"agent.buffer_steps {steps} takes {steps * per_step / 1e9:.1f} GB for {num_envs} envs, but only "
             f"{free / 1e9:.1f} GB are free on {device}; at most {fit} steps fit."

@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import imageio_ffmpeg
 import numpy as np
@@ -18,6 +18,7 @@ from humoslope.cpu import usable_cores
 from humoslope.errors import UserError
 from humoslope.files import write_atomically
 from humoslope.interrupts import leave_signals_to_parent
+from humoslope.ranges import Checked, NotNegative, Positive, Range
 from humoslope.replay.film.frames import Frames
 from humoslope.replay.film.raytrace import Picture
 from humoslope.replay.meshes import load_meshes
@@ -35,7 +36,7 @@ ENDINGS = (".mp4", *ANIMATIONS)
 
 
 @dataclass(frozen=True)
-class VideoCfg:
+class VideoCfg(Checked):
     """Time span, size and speed of a video.
 
     Attributes:
@@ -48,24 +49,21 @@ class VideoCfg:
         meshes: Draw the robot with the meshes that `humoslope meshes` has fetched.
     """
 
-    start: float = 0.0
-    seconds: float | None = None
-    fps: float = 25.0
-    width: int = 960
-    height: int = 540
-    workers: int = 0
+    VERB: ClassVar[str] = "video"
+
+    start: NotNegative = 0.0
+    seconds: Positive | None = None
+    fps: Annotated[float, Range(1.0, 120.0)] = 25.0
+    width: Annotated[int, Range(64, 4096)] = 960
+    height: Annotated[int, Range(64, 4096)] = 540
+    workers: Annotated[int, Range(0, 1024)] = 0
     meshes: bool = False
 
     def __post_init__(self) -> None:
-        if self.start < 0.0 or (self.seconds is not None and self.seconds <= 0.0):
-            raise UserError("video: start must be 0 or more, and seconds positive.")
-        if not 1.0 <= self.fps <= 120.0:
-            raise UserError(f"video: fps is {self.fps:g}; it must be between 1 and 120.")
+        super().__post_init__()
         for name in ("width", "height"):
-            if getattr(self, name) % 2 or not 64 <= getattr(self, name) <= 4096:
-                raise UserError(f"video: {name} is {getattr(self, name)}; it must be even, and between 64 and 4096.")
-        if self.workers < 0:
-            raise UserError(f"video: workers is {self.workers}; it must be 0 or more.")
+            if getattr(self, name) % 2:
+                raise UserError(f"video: {name} is {getattr(self, name)}; it must be even.")
 
     def steps(self, rollout: Rollout) -> list[int]:
         """Returns the steps of the rollout that are drawn.
