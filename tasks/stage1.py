@@ -118,7 +118,7 @@ def base_rewards() -> Terms[RewardTermCfg]:
         arm_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": ".*(shoulder|elbow|wrist).*"}, weight=-0.2),
         waist_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": "waist.*"}, weight=-0.5),
         hip_deviation=RewardTermCfg(rewards.joint_deviation_l1, {"joints": ".*hip_(roll|yaw).*"}, weight=-0.5),
-        single_stance=RewardTermCfg(rewards.SingleStance, {"cap": 0.5, "transfer": 0.08}, weight=3.0),
+        single_stance=RewardTermCfg(rewards.SingleStance, {"cap": 0.4, "transfer": 0.08}, weight=3.0),
         landings=RewardTermCfg(rewards.LandingRate, weight=-0.2),
         foot_slide=RewardTermCfg(rewards.foot_slide, weight=-0.2),
         foot_clearance=RewardTermCfg(
@@ -213,7 +213,7 @@ def stage1() -> TaskCfg:
             terminations=falls(),
             events=randomisation(),
             curriculum=Terms(
-                harness=TermCfg(harness.HarnessCurriculum),
+                harness=TermCfg(harness.HarnessCurriculum, {"speed_share": 0.6}),
                 variety=TermCfg(harness.VaryCommands),
                 strict_rewards=TermCfg(harness.StrengthenRewards, {"rewards": STRICT}),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),

@@ -41,6 +41,7 @@ VISUALS = (
 )
 
 G1_MESHES = MeshSource(
+    robots=("unitree_g1", "unitree_g1_solid"),
     package="mjlab",
     version="1.6.0",
     sha256="03d003854e2f44c48330c6dcf4c2253ff7641bb569747846825a21b9efa8540b",

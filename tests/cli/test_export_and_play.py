@@ -46,12 +46,26 @@ def test_one_trial_is_reported_and_several_are_counted(exported: Path, capsys: p
     assert main(["play", str(exported), "--headless", "--seconds", "2.5", "--grade", "-10"]) == 0
     printed = capsys.readouterr().out
     assert "a ramp of -10 degrees, friction 0.8, 0.5 m/s asked; MuJoCo at 5 ms x 4" in printed
-    assert re.search(r"No fall in 2\.5 s\. Distance [0-9.]+ m, speed from 2 s on 0\.\d+ m/s\.", printed)
+    assert re.search(
+        r"No fall in 2\.5 s\. Distance [0-9.]+ m; from 2 s on 0\.\d+ m/s ahead, [0-9.]+ steps per second, both feet "
+        r"down \d+% of the time, knees at \d\d°, parts that touch 0\.0% of the time, \d+% of a joint target's variance",
+        printed,
+    )
     assert "trained at" not in printed
     assert main(["play", str(exported), "--headless", "--seconds", "0.5", "--trials", "2"]) == 0
     printed = capsys.readouterr().out
     assert "Falls 0/2: 0.0 %, 95 % interval 0.0-65.8 %. Means: distance" in printed
-    assert "speed from 2 s on -." in printed
+    assert "from 2 s on - m/s ahead, - steps per second, both feet down - of the time" in printed
+
+
+def test_other_commands_begin_on_the_slope_and_conditions_are_options(
+    exported: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("--lateral", "-0.1", "--speed", "0.4", "--grade", "5", "--timestep-s", "0.01", "--load-kg", "2")
+    assert main(["play", str(exported), "--headless", "--seconds", "2.2", "--trials", "2", *options]) == 0
+    printed = capsys.readouterr().out
+    assert "a ramp of 5 degrees, friction 0.8, 0.4 m/s, 0.1 m/s to the right asked; MuJoCo at 10 ms x 2" in printed
+    assert re.search(r"m/s ahead, -?[0-9.]+ m/s to the left, -?[0-9.]+ rad/s, ", printed)
 
 
 def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
@@ -61,7 +75,7 @@ def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
     printed = capsys.readouterr().out
     assert "flat ground, friction 0.8, asked to stand; MuJoCo at" in printed
     assert re.search(
-        r"No fall in 3 s\. Drift 0\.\d+ m; from 2 s on creep 0\.\d+ m/s, [0-9.]+ steps per second\.", printed
+        r"No fall in 3 s\. Drift 0\.\d+ m; from 2 s on creep 0\.\d+ m/s, [0-9.]+ steps per second, both feet", printed
     )
     assert "trained at" not in printed
     folder = Path(shutil.copytree(exported, tmp_path / "never stood"))
@@ -74,7 +88,7 @@ def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
         assert main(["play", str(folder), "--headless", "--seconds", "0.5", "--speed", "0", "--trials", "2"]) == 0
         printed = capsys.readouterr().out
         assert f"It was trained at {said} m/s, and not to stand." in printed
-        assert re.search(r"Means: drift 0\.\d+ m; from 2 s on creep -, - steps per second\.", printed)
+        assert re.search(r"Means: drift 0\.\d+ m; from 2 s on creep - m/s, - steps per second, both", printed)
 
 
 def test_a_window_is_opened_where_one_is_asked_for(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -12,12 +13,15 @@ from typing import Any
 
 import pytest
 
+from humoslope.deploy.gait import Gait
 from humoslope.deploy.player import Trial, TrialCfg
 from humoslope.evaluation.margins import run as margins
+from humoslope.evaluation.margins import trials
 from humoslope.evaluation.margins.quantities import Success
 from humoslope.evaluation.margins.search import Rule
 from humoslope.interrupts import Interrupt
 
+NO_GAIT = Gait(*[math.nan] * 4)
 TINY = ("--trials", "2", "--confidence", "0.5", "--seconds", "2.5", "--speed-error", "0.4")
 CODE = """
 import sys
@@ -47,15 +51,15 @@ def test_a_certificate_is_written_without_torch(exported: Path, tmp_path: Path) 
     assert (tmp_path / "certificate.png").read_bytes().startswith(b"\x89PNG")
 
 
-def made_up(job: margins.Job) -> Trial:
+def made_up(job: trials.Job) -> Trial:
     """A policy that falls from 20 kg or 55 ms on."""
     fell = job.setup.conditions.load_kg > 19.0 or job.setup.conditions.delay_s > 0.052
-    return Trial(fell, 20.0, 9.0, 0.5, 9.0, 0.5, 3.0, 0.0, 0.5, 0.0)
+    return Trial(fell, 20.0, 9.0, 0.5, 9.0, 0.5, 3.0, 0.0, 0.5, 0.0, Gait(0.0, 0.1, 0.5, 0.05))
 
 
 @pytest.fixture
 def certify(exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., margins.Certificate]:
-    monkeypatch.setattr(margins, "run_job", made_up)
+    monkeypatch.setattr(trials, "run_job", made_up)
 
     def make(store: str, trials: int = 64) -> margins.Certificate:
         names, rule = ("load", "delay"), Rule(trials=trials)
@@ -80,12 +84,12 @@ def test_a_certificate_that_was_stopped_again_and_again_ends_as_one_that_was_not
     assert whole.run(Interrupt(), 1)
     trials_run, calls = 0, 0
 
-    def counted(job: margins.Job) -> Trial:
+    def counted(job: trials.Job) -> Trial:
         nonlocal trials_run
         trials_run += 1
         return made_up(job)
 
-    monkeypatch.setattr(margins, "run_job", counted)
+    monkeypatch.setattr(trials, "run_job", counted)
     finished = False
     while not finished:
         calls += 1
@@ -102,12 +106,12 @@ def test_a_certificate_that_was_stopped_again_and_again_ends_as_one_that_was_not
 
 
 def test_a_trial_that_ended_early_is_kept_without_its_numbers(tmp_path: Path) -> None:
-    path, early = tmp_path / "trials.json", Trial(True, 1.0, 0.2, *[float("nan")] * 7)
-    store = margins.TrialStore(path, "these")
+    path, early = tmp_path / "trials.json", Trial(True, 1.0, 0.2, *[math.nan] * 7, NO_GAIT)
+    store = trials.TrialStore(path, "these")
     store.add(("load", 4.0, 0), early)
     store.save()
     assert "NaN" not in path.read_text()
-    assert repr(margins.TrialStore(path, "these").get(("load", 4.0, 0))) == repr(early)
+    assert repr(trials.TrialStore(path, "these").get(("load", 4.0, 0))) == repr(early)
 
 
 def test_a_damaged_or_foreign_file_of_trials_is_not_used(
@@ -132,7 +136,7 @@ def test_mistakes_are_said_in_one_sentence(
     assert "when the first push comes" in mistake("margins", str(exported), "--seconds", "4")
     assert "'no.xml' does not exist" in mistake("margins", str(exported), "--model", "no.xml")
     assert "holds no policy.json" in mistake("margins", str(tmp_path))
-    monkeypatch.setattr(margins, "run_job", lambda job: Trial(True, 1.0, 0.2, *[float("nan")] * 7))
+    monkeypatch.setattr(trials, "run_job", lambda job: Trial(True, 1.0, 0.2, *[math.nan] * 7, NO_GAIT))
     said = mistake("margins", str(exported), "--processes", "1", "--out", str(tmp_path / "out"))
     assert "succeeds in 0 of 16 trials under nominal conditions, and falls in 16; there is no margin to certify" in said
     assert not (tmp_path / "out.json").exists()

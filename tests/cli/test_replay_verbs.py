@@ -135,7 +135,7 @@ def test_what_is_no_rollout_is_said_in_one_sentence(mistake: Callable[..., str],
         (("replay", "{walk}", "--save", "."), "is a folder"),
         (("replay", "{walk}", "--other", "nowhere.npz", "--save", "walk.rrd"), "does not exist"),
         (("replay", "{walk}", "--web", "--port", "0"), "--port is 0"),
-        (("video", "{walk}", "--out", "walk.avi"), "must end in .mp4"),
+        (("video", "{walk}", "--out", "walk.avi"), "must end in .mp4, .gif or .webp"),
         (("video", "{walk}", "--fps", "1000"), "fps is 1000"),
         (("video", "{walk}", "--start", "100"), "the rollout ends at"),
     ],
@@ -174,11 +174,14 @@ def test_meshes_are_asked_for_by_the_name_of_a_robot(
     mistake: Callable[..., str], walked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "robot with meshes 'unitree_g2' does not exist; did you mean 'unitree_g1_solid'?" in mistake(
+    assert "robot with meshes 'unitree_g2' does not exist; did you mean 'unitree_g1'?" in mistake(
         "meshes", "unitree_g2"
     )
-    assert "`humoslope meshes` fetches them" in mistake("replay", str(walked), "--meshes", "--save", "walk.rrd")
+    assert "`humoslope meshes unitree_g1_solid` fetches them" in mistake(
+        "replay", str(walked), "--meshes", "--save", "walk.rrd"
+    )
     fetched = []
-    monkeypatch.setattr("humoslope.cli.meshes.fetch_meshes", lambda name, source: fetched.append(name) or Path("."))
-    assert main(["meshes"]) == 0
-    assert fetched == ["unitree_g1_solid"]
+    monkeypatch.setattr("humoslope.cli.meshes.fetch_meshes", lambda source: fetched.append(source.robots) or Path("."))
+    for arguments in (["meshes"], ["meshes", "unitree_g1"], ["meshes", "unitree_g1_solid"]):
+        assert main(arguments) == 0
+    assert fetched == [("unitree_g1", "unitree_g1_solid")] * 3

@@ -224,6 +224,34 @@ def test_across_a_slope_the_ground_rises_to_one_side_and_a_foot_begins_just_abov
         TrialCfg(grade=5.0, cross=5.0)
 
 
+@pytest.mark.parametrize("grade", [20.0, -20.0])
+def test_without_a_run_up_the_robot_begins_on_the_slope(exported: Path, contract: Contract, grade: float) -> None:
+    world, hit = World(exported, contract, grade, 0.8, 20.0, run_up=False), np.zeros(1, dtype=np.int32)
+    for x, y in ((0.0, 2.0), (3.0, -2.0), (-3.0, 0.0)):
+        depth = mujoco.mj_ray(world.model, world.data, [x, y, 20.0], [0.0, 0.0, -1.0], None, 1, -1, hit)
+        assert 20.0 - depth == pytest.approx(math.tan(math.radians(grade)) * x, abs=1e-6)
+        assert world.ground(x, y) == pytest.approx(math.tan(math.radians(grade)) * x)
+        assert world.along(x) == pytest.approx(x / math.cos(math.radians(grade)))
+    assert world._clearance() == pytest.approx(0.01)
+    assert world.data.ncon == 0
+
+
+def test_a_robot_touches_itself_where_two_of_its_parts_press_on_each_other(exported: Path, contract: Contract) -> None:
+    """With parts that may collide, which they may not in the export; an elbow is moved into the trunk."""
+    world = World(exported, contract, 0.0, 0.8, 20.0)
+    for _ in range(25):
+        world.step(world._default)
+    assert world.data.ncon > 0  # it stands
+    assert not world.touches_itself()
+    for kind in (world.model.geom_contype, world.model.geom_conaffinity):
+        kind[:] = 1
+    for kind in (world.model.body_contype, world.model.body_conaffinity):
+        kind[:] = 1
+    world.data.joint("left_shoulder_roll_joint").qpos[:] = -1.0
+    mujoco.mj_forward(world.model, world.data)
+    assert world.touches_itself()
+
+
 def test_another_model_walks_with_the_motors_and_the_physics_of_the_export(
     exported: Path, contract: Contract, tmp_path: Path
 ) -> None:
@@ -247,6 +275,23 @@ def test_another_model_walks_with_the_motors_and_the_physics_of_the_export(
     path.write_text("<mujoco>")
     with pytest.raises(UserError, match="is no MuJoCo model"):
         Player(exported, contract, TrialCfg(), model=path)
+
+
+def test_to_a_side_and_backward_it_holds_its_heading_and_straight_ahead_its_course(
+    exported: Path, contract: Contract
+) -> None:
+    gain = contract.commands.steering.heading_gain_per_s
+    for course in ({"speed": 0.0, "lateral": -0.3}, {"speed": -0.3}, {"speed": 0.5}):
+        player = Player(exported, contract, TrialCfg(grade=10.0, **course))
+        player.world.reset(y=0.1, yaw=0.05)
+        forward, left, yaw_rate = player.course_command()
+        assert (forward, left) == (course["speed"], course.get("lateral", 0.0))
+        if course["speed"] > 0.0:
+            assert yaw_rate < -gain * 0.05  # it is also led back to the middle
+            assert player.world.ground(-1.0) == 0.0
+        else:
+            assert yaw_rate == pytest.approx(-gain * 0.05)
+            assert player.world.ground(-1.0) < 0.0
 
 
 def test_a_turning_robot_reports_its_yaw_rate_and_its_speed_along_its_heading(

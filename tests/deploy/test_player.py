@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from humoslope.deploy.contract import Contract, Steering, Timing
+from humoslope.deploy.gait import Gait
 from humoslope.deploy.player import Player, Summary, TouchdownCounter, Trial, TrialCfg, run_trials, steer, summarise
 from humoslope.deploy.world import RUN_UP
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
@@ -305,9 +306,13 @@ def test_the_shipped_policy_marks_time_where_it_is_asked_to_stand(make_player: C
 
 def test_a_summary_is_the_mean_over_what_was_measured() -> None:
     trials = [
-        Trial(False, 4.0, 1.0, 0.5, 2.0, 0.1, 3.0, 0.0, 0.5, 0.0),
-        Trial(True, 1.0, 2.0, math.nan, 4.0, *[math.nan] * 5),
+        Trial(False, 4.0, 1.0, 0.5, 2.0, 0.1, 3.0, 0.2, 0.5, -0.1, Gait(0.0, 0.1, math.nan, 0.3)),
+        Trial(True, 1.0, 2.0, math.nan, 4.0, *[math.nan] * 5, Gait(*[math.nan] * 4)),
     ]
     result = summarise(trials)
-    assert result == Summary(result.falls, 0.5, 1.5, 3.0, 0.1, 3.0)
+    assert replace(result, gait=trials[0].gait) == Summary(
+        result.falls, 0.5, 1.5, 3.0, 0.1, 3.0, 0.2, -0.1, trials[0].gait
+    )
+    assert (result.gait.self_contact, result.gait.double_support, result.gait.fast_share) == (0.0, 0.1, 0.3)
+    assert math.isnan(result.gait.knee_flexion)
     assert (result.falls.count, result.falls.total) == (1, 2)

@@ -267,11 +267,11 @@ def stepper(make_env):
     return step
 
 
-def test_standing_on_one_leg_is_worth_the_time_since_a_foot_landed_as_a_share_of_the_cap(stepper):
+def test_standing_on_one_leg_is_worth_the_time_since_a_foot_landed_up_to_the_cap_and_nothing_from_then_on(stepper):
     stepper(LEFT)
     stepper(BOTH)  # lands
     values = [stepper(LEFT)[0] for _ in range(7)]
-    assert values == [0.2, 0.4, 0.6, 0.8, 1.0, 1.0, 1.0]
+    assert values == [0.2, 0.4, 0.6, 0.8, 1.0, 0.0, 0.0]
 
 
 def test_both_feet_may_be_down_for_a_moment_after_a_landing(stepper):

@@ -48,7 +48,7 @@ def source() -> MeshSource:
         MeshVisual("torso_link", "ball.STL", BLUE, (0.0, 0.0, 2.0)),
     )
     digest = hashlib.sha256(wheel()).hexdigest()
-    return MeshSource("toys", "1.0", digest, "toys/meshes", visuals, "Toys for everyone.")
+    return MeshSource(("toy", "hard_toy"), "toys", "1.0", digest, "toys/meshes", visuals, "Toys for everyone.")
 
 
 @pytest.fixture
@@ -76,10 +76,10 @@ def index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 
 def test_fetched_meshes_are_worn_by_their_links(source: MeshSource, index: str, tmp_path: Path) -> None:
-    folder = fetch_meshes("toy", source, tmp_path / "cache")
+    folder = fetch_meshes(source, tmp_path / "cache")
     assert (folder / "LICENCE.txt").read_text() == "Toys for everyone.\n"
     worn = load_meshes("toy", tmp_path / "cache")
-    assert set(worn) == {"pelvis", "torso_link"}
+    assert set(worn) == set(load_meshes("hard_toy", tmp_path / "cache")) == {"pelvis", "torso_link"}
     np.testing.assert_allclose(np.ptp(worn["pelvis"].vertices, axis=0), (0.2, 0.4, 0.6), atol=1e-6)
     torso = worn["torso_link"]
     ball = torso.vertices[(torso.colours == BLUE).all(axis=1)]
@@ -94,14 +94,14 @@ def test_a_package_with_another_hash_is_not_kept(source: MeshSource, index: str,
     with pytest.raises(
         UserError, match=r"^the toys 1\.0 that was downloaded does not have the SHA-256 0{64}; .*kept\.$"
     ):
-        fetch_meshes("toy", wrong, tmp_path / "cache")
+        fetch_meshes(wrong, tmp_path / "cache")
     assert not (tmp_path / "cache").exists()
 
 
 def test_a_package_without_a_mesh_is_named(source: MeshSource, index: str, tmp_path: Path) -> None:
     moved = dataclasses.replace(source, folder="toys/elsewhere")
     with pytest.raises(UserError, match="toys 1.0 has no toys/elsewhere/ball.STL"):
-        fetch_meshes("toy", moved, tmp_path / "cache")
+        fetch_meshes(moved, tmp_path / "cache")
 
 
 def test_without_a_network_that_is_said(
@@ -109,11 +109,11 @@ def test_without_a_network_that_is_said(
 ) -> None:
     monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")
     with pytest.raises(UserError, match="could not be downloaded; is there a network?"):
-        fetch_meshes("toy", source, tmp_path / "cache")
+        fetch_meshes(source, tmp_path / "cache")
 
 
 def test_meshes_that_were_not_fetched_are_missed_in_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="there are no meshes of 'toy' in .*; `humoslope meshes` fetches them."):
+    with pytest.raises(UserError, match="there are no meshes of 'toy' in .*; `humoslope meshes toy` fetches them."):
         load_meshes("toy", tmp_path)
 
 

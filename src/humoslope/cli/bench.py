@@ -43,6 +43,7 @@ class Options:
         checkpoint: Path of a checkpoint whose actor drives the robots, so that they touch the ground as in walking. By
             default actions are random.
         out: Path of a JSON file for the results; by default none is written.
+        watch: Measure what `train --watch` costs instead: iterations with and without a live view in turn.
     """
 
     sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)
@@ -50,6 +51,7 @@ class Options:
     preset: Preset = "auto"
     checkpoint: str = ""
     out: str = ""
+    watch: bool = False
 
 
 def run(arguments: list[str]) -> None:
@@ -67,6 +69,9 @@ def run(arguments: list[str]) -> None:
         check_place(Path(options.out))
 
     console = Console(width=None if sys.stdout.isatty() else 100)
+    if options.watch:
+        _measure_watching(task, typed, options, console)
+        return
     driver = f"the actor of {options.checkpoint}" if options.checkpoint else f"random actions of std {RANDOM_STD:g}"
     load = os.getloadavg()[0]
     console.print(
@@ -84,6 +89,20 @@ def run(arguments: list[str]) -> None:
     console.print(speed_table(results, options.preset), descriptor_table(results), parts_table(results))
     if options.out:
         console.print(f"wrote {options.out}", soft_wrap=True)
+
+
+def _measure_watching(task: str, typed: list[str], options: Options, console: Console) -> None:
+    from humoslope.replay.rerun.live_cost import cost_table, watch_cost  # loads the viewer, which takes a while
+
+    costs = []
+    for size in sorted(options.sizes):
+        cfg, _ = parse(Options(), task, typed, "bench")
+        cfg.env.num_envs = size
+        costs.append(watch_cost(task, cfg, options.rounds))
+    if options.out:
+        told = {"what": "watch", "task": task, "options": typed, "sizes": [dataclasses.asdict(cost) for cost in costs]}
+        write_text(Path(options.out), json.dumps(told, indent=2) + "\n")
+    console.print(cost_table(costs))
 
 
 def _measure_apart(task: str, typed: list[str], num_envs: int) -> Measurement:

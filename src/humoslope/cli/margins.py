@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -85,14 +87,8 @@ def run(arguments: list[str]) -> None:
     check_place(json_path)
     if len(certificate.store):
         console.print(f"continues with {len(certificate.store)} trials that were finished before")
-    columns = (TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn())
-    with deferred_interrupts() as interrupt, Progress(*columns, console=console, transient=True) as progress:
-        bar = progress.add_task("", total=None)
-        finished = certificate.run(
-            interrupt,
-            options.processes or usable_cores(),
-            lambda done, left: progress.update(bar, completed=done, total=done + left),
-        )
+    with deferred_interrupts() as interrupt, trials_progress(console) as update:
+        finished = certificate.run(interrupt, options.processes or usable_cores(), update)
     if not finished:
         console.print(f"Finished trials are kept in {store_path}; the same command continues.", soft_wrap=True)
         raise Terminated(interrupt.number)
@@ -105,3 +101,12 @@ def run(arguments: list[str]) -> None:
         console.print(f"wrote {json_path} and {figure_path}", soft_wrap=True)
     else:
         console.print(f"wrote {json_path}\n{missing('its picture', MATPLOTLIB)}", soft_wrap=True)
+
+
+@contextmanager
+def trials_progress(console: Console) -> Iterator[Callable[[int, int], None]]:
+    """Shows a bar of trials; yields a function that takes the numbers of trials done and left."""
+    columns = (TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        bar = progress.add_task("", total=None)
+        yield lambda done, left: progress.update(bar, completed=done, total=done + left)

@@ -16,15 +16,16 @@ def meshes(robot: str | None = None, /) -> None:
         robot: Name of the robot; not needed where there is only one robot with meshes.
     """
     robots = [build_task(task).env.scene.robot for task in all_tasks()]
-    sources = {known.name: known.meshes for known in robots if known.meshes is not None}
-    if robot is None and len(sources) != 1:
+    sources = {name: known.meshes for known in robots if known.meshes is not None for name in known.meshes.robots}
+    if robot is None and len(set(sources.values())) != 1:
         raise UserError(f"name a robot; there are meshes of {', '.join(sorted(sources)) or 'none'}.")
     name = next(iter(sources)) if robot is None else robot
     if name not in sources:
         raise unknown("robot with meshes", name, sources)
     source = sources[name]
-    print(f"fetching {source.package} {source.version}, which carries the meshes of {name}", flush=True)
-    folder = fetch_meshes(name, source)
+    names = " and ".join(source.robots)
+    print(f"fetching {source.package} {source.version}, which carries the meshes of {names}", flush=True)
+    folder = fetch_meshes(source)
     print(f"{source.licence}\nwrote {folder}")
 
 

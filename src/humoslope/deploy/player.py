@@ -1,6 +1,7 @@
-"""Trials of an exported policy on one course, as in the ramp check: random starts, straight ahead, at one speed.
+"""Trials of an exported policy on one course, as in the ramp check: random starts, one command.
 
-At speed 0 the robot is asked to stand, and the trial measures how far it creeps and how often it steps.
+Straight ahead the course is level ground and then a ramp. A robot that is asked to stand, to walk backward or to a
+side, or to turn, starts on the slope.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from humoslope.deploy.conditions import NOMINAL, Conditions
 from humoslope.deploy.contract import Contract, Steering
 from humoslope.deploy.controller import Controller, OnnxPolicy
+from humoslope.deploy.gait import Gait, GaitRecorder, mean_gait
 from humoslope.deploy.quantities import Array
 from humoslope.deploy.world import World
 from humoslope.errors import UserError
@@ -39,12 +41,14 @@ class TrialCfg:
 
     Attributes:
         grade: Grade of the ramp, degrees; negative goes down, 0 is flat ground.
-        speed: Commanded forward speed, m/s; 0 asks the robot to stand.
+        speed: Commanded forward speed, m/s; negative is backward. 0 asks the robot to stand, unless it is to walk to a
+            side or to turn.
         seconds: Length of a trial, s. A window stays open until it is closed.
         trials: Number of trials, each from another random start. More than one need --headless.
         seed: Seed of the random starts.
         cross: Slope of the ground across the course, degrees; positive rises to the left. Only without a ramp.
         yaw_rate: Commanded yaw rate, rad/s, positive to the left; null to steer along the course.
+        lateral: Commanded speed to the left, m/s; negative is to the right.
     """
 
     grade: float = 0.0
@@ -54,6 +58,7 @@ class TrialCfg:
     seed: int = 0
     cross: float = 0.0
     yaw_rate: float | None = None
+    lateral: float = 0.0
 
     def __post_init__(self) -> None:
         for name, slope in (("--grade", self.grade), ("--cross", self.cross)):
@@ -63,12 +68,23 @@ class TrialCfg:
             raise UserError(f"--cross {self.cross:g} and --grade {self.grade:g} cannot be combined; one must be 0.")
         if self.yaw_rate is not None and not abs(self.yaw_rate) <= FASTEST:
             raise UserError(f"--yaw-rate {self.yaw_rate:g} must be at most {FASTEST:g} rad/s.")
-        if not abs(self.speed) <= FASTEST:
-            raise UserError(f"--speed {self.speed:g} must be at most {FASTEST:g} m/s.")
+        for name, speed in (("--speed", self.speed), ("--lateral", self.lateral)):
+            if not abs(speed) <= FASTEST:
+                raise UserError(f"{name} {speed:g} must be at most {FASTEST:g} m/s.")
         if not 0.0 < self.seconds < math.inf:
             raise UserError(f"--seconds {self.seconds:g} must be positive.")
         if self.trials < 1 or self.seed < 0:
             raise UserError(f"--trials {self.trials} must be at least 1, and --seed {self.seed} at least 0.")
+
+    @property
+    def stands(self) -> bool:
+        """True if the robot is asked to stand."""
+        return self.speed == self.lateral == 0.0 and not self.yaw_rate
+
+    @property
+    def straight(self) -> bool:
+        """True if the robot is asked to walk straight ahead, which it begins on level ground."""
+        return self.speed > 0.0 and self.lateral == 0.0 and self.yaw_rate is None
 
     @property
     def friction(self) -> float:
@@ -98,6 +114,7 @@ class Trial:
         heading_speed: Mean horizontal speed in the direction of the root's heading after `SETTLE_S`, m/s; NaN if the
             trial did not last that long.
         yaw_rate: Mean yaw rate after `SETTLE_S`, rad/s; NaN if the trial did not last that long.
+        gait: How it walked after `SETTLE_S`.
     """
 
     fell: bool
@@ -110,6 +127,7 @@ class Trial:
     lateral_speed: float
     heading_speed: float
     yaw_rate: float
+    gait: Gait
 
 
 @dataclass(frozen=True)
@@ -123,6 +141,9 @@ class Summary:
         drift: Mean drift, m.
         creep: Mean creep, m/s.
         step_rate: Mean rate of touchdowns, 1/s.
+        lateral_speed: Mean speed to the left, m/s.
+        yaw_rate: Mean yaw rate, rad/s.
+        gait: Means of the trials' gaits; NaN for one over no trial.
     """
 
     falls: Proportion
@@ -131,6 +152,9 @@ class Summary:
     drift: float
     creep: float | None
     step_rate: float | None
+    lateral_speed: float | None
+    yaw_rate: float | None
+    gait: Gait
 
 
 class TouchdownCounter:
@@ -179,7 +203,10 @@ class Player:
     ) -> None:
         self.contract, self.cfg, self.conditions = contract, cfg, conditions
         self.controller = Controller(contract, OnnxPolicy(folder, contract.network))
-        self.world = World(folder, contract, cfg.grade, cfg.friction, cfg.length, cfg.cross, conditions, model)
+        self.target = np.array([joint.default_rad for joint in contract.joints])  # [J] the last one, rad
+        self.world = World(
+            folder, contract, cfg.grade, cfg.friction, cfg.length, cfg.cross, conditions, model, run_up=cfg.straight
+        )
 
     def start(self, rng: np.random.Generator | None = None) -> None:
         """Places the robot at the start, with a random offset of place and pose if `rng` is given."""
@@ -193,15 +220,19 @@ class Player:
     def step(self, command: Array) -> None:
         """Advances by one control step under a command [3] (forward, left, yaw rate)."""
         measured = self.world.measured(command, self.controller.last_action)
-        self.world.step(self.controller(measured))
+        self.target = self.controller(measured)
+        self.world.step(self.target)
 
     def course_command(self) -> Array:
-        """Returns the command [3] that keeps the robot on the course at its speed, or turns it at the rate of `cfg`;
-        zeros if it is asked to stand."""
-        if self.cfg.yaw_rate is not None:
-            return np.array([self.cfg.speed, 0.0, self.cfg.yaw_rate])
-        yaw_rate = steer(self.contract.commands.steering, self.world.root_pos[1], self.world.yaw)
-        return np.array([self.cfg.speed, 0.0, yaw_rate]) if self.cfg.speed else np.zeros(3)
+        """Returns the command [3] that `cfg` asks for. Straight ahead it keeps the robot on the course, backward and to
+        the sides it holds its heading; zeros ask it to stand."""
+        cfg = self.cfg
+        if cfg.stands:
+            return np.zeros(3)
+        if cfg.yaw_rate is not None:
+            return np.array([cfg.speed, cfg.lateral, cfg.yaw_rate])
+        left = self.world.root_pos[1] if cfg.straight else 0.0
+        return np.array([cfg.speed, cfg.lateral, steer(self.contract.commands.steering, left, self.world.yaw)])
 
     def run_trial(self, rng: np.random.Generator) -> Trial:
         """Runs one trial from a random start."""
@@ -210,6 +241,7 @@ class Player:
         steps, settle = round(self.cfg.seconds / dt), round(SETTLE_S / dt)
         begin = settled = end = self._place()
         touchdowns, lasted = TouchdownCounter(len(world.foot_bodies), dt), steps
+        gait = GaitRecorder([joint.name for joint in self.contract.joints], dt)
         headway = turned = 0.0
         push_steps = max(1, round(self.conditions.push_every_s / dt)) if self.conditions.push_m_s else steps + 1
         for done in range(1, steps + 1):
@@ -221,11 +253,12 @@ class Player:
             if world.fallen():
                 lasted = done - 1
                 break
-            end = self._place()
-            touchdowns.add(world.feet_down())
+            end, down = self._place(), world.feet_down()
+            touchdowns.add(down)
             if done <= settle:
                 settled, touchdowns.count = end, 0
                 continue
+            gait.add(self.target, world.joint_pos, down, world.touches_itself())
             headway += (world.root_pos[0] - x) * math.cos(yaw) + (world.root_pos[1] - y) * math.sin(yaw)
             turned += math.remainder(world.yaw - yaw, 2.0 * math.pi)
         fell = lasted < steps
@@ -241,6 +274,7 @@ class Player:
             lateral_speed=float(end[1] - settled[1]) / measured_s,
             heading_speed=headway / measured_s,
             yaw_rate=turned / measured_s,
+            gait=gait.gait(),
         )
 
     def _place(self) -> Array:
@@ -280,4 +314,7 @@ def summarise(trials: Sequence[Trial]) -> Summary:
         drift=float(np.mean([trial.drift for trial in trials])),
         creep=over("creep"),
         step_rate=over("step_rate"),
+        lateral_speed=over("lateral_speed"),
+        yaw_rate=over("yaw_rate"),
+        gait=mean_gait([trial.gait for trial in trials]),
     )

@@ -26,6 +26,8 @@ BEHIND, HALF_WIDTH, HALF_THICKNESS = 20.0, 20.0, 0.5
 GROUND = "ground"
 FOOT_DOWN_N = 5.0
 """A foot is down while the ground carries it with at least this normal force, N."""
+TOUCH_N = 1.0
+"""Two parts of the robot touch while they press on each other with at least this normal force, N; as in training."""
 CLEARANCE = 0.01
 """Height of the feet above the ground at the start, m."""
 ROUNDING = 1e-6
@@ -62,6 +64,7 @@ class World:
         conditions: Disturbances.
         model: MJCF of another robot with joints of the same names, in place of the export's own; it walks with the
             motors and the physics options of the export.
+        run_up: Whether a ramp begins `RUN_UP` ahead of a start on level ground. Else all of the ground has its grade.
 
     Raises:
         UserError: If the model is missing, broken, or lacks what the contract names, or if the conditions do not go
@@ -78,8 +81,10 @@ class World:
         cross: float = 0.0,
         conditions: Conditions = NOMINAL,
         model: Path | None = None,
+        run_up: bool = True,
     ) -> None:
         self._contract, self.grade, self.cross = contract, math.radians(grade), math.radians(cross)
+        self._ramp = run_up and grade != 0.0  # else the ground is one plane
         self._set_timing(conditions)
         self._bias = _encoder_bias(contract, conditions)
         tilt = np.array([*conditions.imu_tilt_rad, 0.0])
@@ -101,7 +106,10 @@ class World:
         for foot in feet:
             foot.friction[0] = friction if conditions.friction is None else conditions.friction
         foot_geoms = [foot.name for foot in feet]
-        _add_ground(spec, self.grade, length, self.cross)
+        if self._ramp:
+            _add_ramp(spec, self.grade, length)
+        else:
+            _add_plane(spec, self.grade, self.cross)
         if conditions.load_kg:
             _named(spec.body(conditions.load_body), "body", conditions.load_body, spec.bodies)
         spec.option.timestep = self._timestep
@@ -126,7 +134,7 @@ class World:
             self.model.body_mass[self.model.body(conditions.load_body).id] += conditions.load_kg
             mujoco.mj_setConst(self.model, self.data)  # whatever MuJoCo derives from masses
         # The contract's height is that of its own robot over level ground.
-        self._place_on_feet = cross != 0.0 or model is not None
+        self._place_on_feet = cross != 0.0 or (grade != 0.0 and not run_up) or model is not None
         self.reset()
 
     def _set_timing(self, conditions: Conditions) -> None:
@@ -249,6 +257,11 @@ class World:
         )
 
     @property
+    def joint_pos(self) -> Array:
+        """Joint positions [J], rad, in the order of the contract; the true ones of this instant."""
+        return self.data.qpos[self._qpos]
+
+    @property
     def root_pos(self) -> Array:
         """Position of the root [3], m, one physics step of the contract ago, like all that is no measurement."""
         return self._seen_pos[self.free_pos : self.free_pos + 3]
@@ -261,11 +274,13 @@ class World:
 
     def ground(self, x: float, y: float = 0.0) -> float:
         """Returns the height of the ground at x and y, m."""
-        return math.tan(self.grade) * max(x - RUN_UP, 0.0) + math.tan(self.cross) * y
+        rise = max(x - RUN_UP, 0.0) if self._ramp else x
+        return math.tan(self.grade) * rise + math.tan(self.cross) * y
 
     def along(self, x: float) -> float:
         """Returns the distance along the ground from the origin to x, m."""
-        return min(x, RUN_UP) + max(x - RUN_UP, 0.0) / math.cos(self.grade)
+        level = min(x, RUN_UP) if self._ramp else 0.0
+        return level + (x - level) / math.cos(self.grade)
 
     def feet_down(self) -> NDArray[np.bool_]:
         """Returns for each of `foot_bodies` whether the ground carries it, [F]."""
@@ -281,6 +296,16 @@ class World:
                     mujoco.mj_contactForce(self.model, self.data, i, wrench)
                     force[foot] += wrench[0]
         return force
+
+    def touches_itself(self) -> bool:
+        """Returns whether two parts of the robot press on each other with at least `TOUCH_N`."""
+        wrench = np.zeros(6)
+        for i, contact in enumerate(self.data.contact):
+            if self.model.geom_bodyid[contact.geom].all():  # the ground belongs to the world, body 0
+                mujoco.mj_contactForce(self.model, self.data, i, wrench)
+                if wrench[0] >= TOUCH_N:
+                    return True
+        return False
 
     def fallen(self) -> bool:
         """Returns whether the robot has fallen as the contract defines it, or the physics has diverged."""
@@ -382,25 +407,18 @@ def _add_drives(spec: mujoco.MjSpec, contract: Contract, strength: float) -> Non
         )
 
 
-def _add_ground(spec: mujoco.MjSpec, grade: float, length: float, cross: float) -> None:
-    """Adds a plane that may rise to the left, or a level slab up to `RUN_UP` and a tilted one from there."""
-    texture = spec.add_texture(
-        name=GROUND,
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.42, 0.45, 0.48],
-        rgb2=[0.50, 0.53, 0.56],
-        width=256,
-        height=256,
+def _add_plane(spec: mujoco.MjSpec, grade: float, cross: float) -> None:
+    """Adds a plane through the origin that rises along x by `grade` or to the left by `cross`, rad."""
+    # One of the angles is 0, so the order of the two rotations does not matter.
+    quat = [math.cos(0.5 * cross) * math.cos(0.5 * grade), math.sin(0.5 * cross), -math.sin(0.5 * grade), 0.0]
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], quat=quat, **_ground_properties(spec)
     )
-    material = spec.add_material(name=GROUND, texuniform=True, texrepeat=[0.5, 0.5])
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
-    spec.worldbody.add_light(pos=[0.0, 0.0, 10.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    shared = {"contype": 1, "conaffinity": 1, "condim": 3, "material": GROUND}
-    if grade == 0.0:
-        roll = [math.cos(0.5 * cross), math.sin(0.5 * cross), 0.0, 0.0]
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], quat=roll, **shared)
-        return
+
+
+def _add_ramp(spec: mujoco.MjSpec, grade: float, length: float) -> None:
+    """Adds a level slab up to `RUN_UP` and a tilted one from there."""
+    shared = _ground_properties(spec)
     box, half = mujoco.mjtGeom.mjGEOM_BOX, 0.5 * (BEHIND + RUN_UP)
     spec.worldbody.add_geom(
         type=box, size=[half, HALF_WIDTH, HALF_THICKNESS], pos=[RUN_UP - half, 0.0, -HALF_THICKNESS], **shared
@@ -414,3 +432,20 @@ def _add_ground(spec: mujoco.MjSpec, grade: float, length: float, cross: float) 
         quat=[math.cos(0.5 * grade), 0.0, -math.sin(0.5 * grade), 0.0],
         **shared,
     )
+
+
+def _ground_properties(spec: mujoco.MjSpec) -> dict[str, Any]:
+    """Adds a light and a chequered material; returns what all geoms of the ground have in common."""
+    texture = spec.add_texture(
+        name=GROUND,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.42, 0.45, 0.48],
+        rgb2=[0.50, 0.53, 0.56],
+        width=256,
+        height=256,
+    )
+    material = spec.add_material(name=GROUND, texuniform=True, texrepeat=[0.5, 0.5])
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
+    spec.worldbody.add_light(pos=[0.0, 0.0, 10.0], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    return {"contype": 1, "conaffinity": 1, "condim": 3, "material": GROUND}

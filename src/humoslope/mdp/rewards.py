@@ -203,12 +203,13 @@ def self_contact(env: Env, force: NotNegative) -> Tensor:
 class SingleStance(StatefulTerm):
     """Reward for time on one leg, so that the robot steps without a prescribed clock, and unhurriedly.
 
-    The value is the time since a foot last landed, as a share of `cap` and at most 1. It counts while exactly one foot
-    is down, and for `transfer` seconds after a landing with both, so that the weight may pass from leg to leg. It is 0
-    in envs that are commanded to stand.
+    The value is the time since a foot last landed, as a share of `cap`, and 0 after that time: a step of `cap` earns
+    most per second, and to stay on one leg earns nothing. It counts while exactly one foot is down, and for `transfer`
+    seconds after a landing with both, so that the weight may pass from leg to leg. It is 0 in envs that are commanded
+    to stand.
 
     Args:
-        cap: Time from which the reward is full, s.
+        cap: Time at which the reward is full and ends, s.
         transfer: Time after a landing for which both feet may be down, s.
     """
 
@@ -222,7 +223,8 @@ class SingleStance(StatefulTerm):
         self._since = (self._since + env.step_dt).masked_fill(landed, 0.0)
         down = env.signals.foot_contact.sum(dim=1)
         counts = (down == 1) | ((down == 2) & (self._since < self._transfer))
-        return (self._since / self._cap).clamp(max=1.0) * (counts & env.commands.moving)
+        late = self._since > self._cap + 0.5 * env.step_dt
+        return (self._since / self._cap) * (counts & env.commands.moving & ~late)
 
     def reset(self, mask: Tensor) -> None:
         """Sets the times of the envs in `mask` to zero."""

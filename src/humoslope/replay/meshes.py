@@ -19,16 +19,16 @@ from humoslope.scene.robot import MeshSource
 CACHE = Path(".meshes")
 """Cache folder, below the current one; git ignores it."""
 INDEX = "visuals.json"
-"""File with the mesh of each link; written last, so that a cache with this file is complete."""
+"""File with the names of the robots and the mesh of each link; written last, so that a folder with it is complete."""
 
 
-def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
-    """Downloads the meshes of a robot with pip, replacing cached ones, and returns their folder.
+def fetch_meshes(source: MeshSource, cache: Path = CACHE) -> Path:
+    """Downloads the meshes of `source.robots` with pip, replacing cached ones, and returns their folder.
 
     Raises:
         UserError: If the package is unavailable, has another hash, or lacks a mesh.
     """
-    folder = cache / robot
+    folder = cache / source.robots[0]
     with temporary_folder() as temporary:
         with zipfile.ZipFile(_download(source, temporary)) as wheel:
             meshes = {}
@@ -42,7 +42,8 @@ def fetch_meshes(robot: str, source: MeshSource, cache: Path = CACHE) -> Path:
         for file, content in meshes.items():
             (folder / file).write_bytes(content)
     write_text(folder / "LICENCE.txt", source.licence + "\n")
-    write_text(folder / INDEX, json.dumps([vars(visual) for visual in source.visuals], indent=2) + "\n")
+    index = {"robots": source.robots, "visuals": [vars(visual) for visual in source.visuals]}
+    write_text(folder / INDEX, json.dumps(index, indent=2) + "\n")
     return folder
 
 
@@ -52,16 +53,20 @@ def load_meshes(robot: str, cache: Path = CACHE) -> dict[str, Shape]:
     Raises:
         UserError: If the meshes were not fetched, or are broken.
     """
-    folder = cache / robot
-    if not (folder / INDEX).is_file():
-        raise UserError(f"there are no meshes of '{robot}' in '{folder}'; `humoslope meshes` fetches them.")
-    try:
-        shapes: dict[str, list[Shape]] = {}
-        for visual in json.loads((folder / INDEX).read_text(encoding="utf-8")):
-            shapes.setdefault(visual.pop("link"), []).append(_shape(folder, **visual))
-        return {link: joined(parts) for link, parts in shapes.items()}
-    except (OSError, ValueError, TypeError, KeyError):
-        raise UserError(f"the meshes in '{folder}' are broken; `humoslope meshes` fetches them anew.") from None
+    for path in sorted(cache.glob(f"*/{INDEX}")):
+        try:
+            index = json.loads(path.read_text(encoding="utf-8"))
+            if robot not in index["robots"]:
+                continue
+            shapes: dict[str, list[Shape]] = {}
+            for visual in index["visuals"]:
+                shapes.setdefault(visual.pop("link"), []).append(_shape(path.parent, **visual))
+            return {link: joined(parts) for link, parts in shapes.items()}
+        except (OSError, ValueError, TypeError, KeyError):
+            raise UserError(
+                f"the meshes in '{path.parent}' are broken; `humoslope meshes` fetches them anew."
+            ) from None
+    raise UserError(f"there are no meshes of '{robot}' in '{cache}'; `humoslope meshes {robot}` fetches them.")
 
 
 def _shape(folder: Path, file: str, colour: list[int], position: list[float]) -> Shape:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from humoslope.cli import main
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.onboard.kinematics import Kinematics
 from humoslope.deploy.onboard.log import to_rollout
@@ -19,6 +20,7 @@ from humoslope.errors import UserError
 from humoslope.replay.robot import RobotShape
 from humoslope.replay.rollout import Rollout, load_rollout
 from tests.deploy.onboard.conftest import SCRIPT, Stage
+from tests.replay.rerun.test_rrd import column, read
 
 
 @pytest.fixture(scope="module")
@@ -125,3 +127,15 @@ def test_loads_balance_a_robot_that_stands(exported: Path, contract: Contract) -
 def test_a_session_without_commands_is_no_walk(exported: Path, contract: Contract) -> None:
     with pytest.raises(UserError, match="the robot was never commanded"):
         to_rollout(exported, contract, Ticks(), "test")
+
+
+def test_replay_shows_the_walk_of_a_log(saved: Path, rollout: Rollout, tmp_path: Path) -> None:
+    """As typed; the recording for rerun has the robot at every tick, although there are no rewards to plot."""
+    path = tmp_path / "walk.rrd"
+    assert main(["replay", str(saved), "--save", str(path)]) == 0
+    shown = read(path)
+    steps, places = column(shown["/world/robot/torso_link"], "translation")
+    np.testing.assert_array_equal(steps, np.arange(1, len(rollout.columns) + 1))
+    poses = RobotShape(rollout.header["robot"]["urdf"]).poses(rollout)
+    np.testing.assert_allclose(np.array(places).reshape(-1, 3), poses["torso_link"].position, atol=1e-5)
+    assert {"/world/ground", "/world/contact/left", "/world/robot/left_ankle_roll_link"} <= set(shown)

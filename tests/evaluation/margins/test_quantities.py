@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from humoslope.deploy import contract as contracts
+from humoslope.deploy.gait import Gait
 from humoslope.deploy.player import Trial, TrialCfg
-from humoslope.evaluation.margins.quantities import Name, Setup, Success, quantities
+from humoslope.evaluation.margins.quantities import Name, Success, quantities
+from humoslope.evaluation.margins.trials import Setup
 
-GOOD = Trial(False, 20.0, 9.0, 0.5, 9.0, 0.5, 3.0, 0.0, 0.5, 0.0)
+GOOD = Trial(False, 20.0, 9.0, 0.5, 9.0, 0.5, 3.0, 0.0, 0.5, 0.0, Gait(0.0, 0.1, 0.5, 0.05))
 
 
 def test_every_quantity_begins_at_the_nominal_value_and_changes_its_own_field_only(exported: Path) -> None:

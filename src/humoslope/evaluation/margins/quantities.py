@@ -5,26 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
-from humoslope.deploy.conditions import NOMINAL, Conditions
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.player import Trial, TrialCfg
+from humoslope.evaluation.margins.trials import Setup
 
 Name = Literal[
     "friction", "load", "delay", "strength-low", "strength-high", "encoder-bias", "imu-tilt", "push", "slope-up",
     "slope-down", "cross-slope", "yaw-rate", "speed-high", "speed-low", "timestep-fine", "timestep-coarse",
 ]  # fmt: skip
 """Names of the quantities."""
-
-
-class Setup(NamedTuple):
-    """Course, command and conditions of one trial."""
-
-    cfg: TrialCfg
-    conditions: Conditions = NOMINAL
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,8 @@
-"""Trials of a certificate in several processes, kept on disk as they finish, and the searches that they serve."""
+"""A certificate: the searches for the limits of all quantities, and the trials that they ask for."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
-import multiprocessing
-import sys
-from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,95 +14,12 @@ from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.player import Player, Trial, TrialCfg
 from humoslope.errors import UserError
-from humoslope.evaluation.margins.quantities import Name, Quantity, Setup, Success, quantities
+from humoslope.evaluation.margins.quantities import Name, Quantity, Success, quantities
 from humoslope.evaluation.margins.search import FIRST_LOOK, Rule, Search
-from humoslope.interrupts import Interrupt, leave_signals_to_parent
-from humoslope.seal import read_json, write_json
+from humoslope.evaluation.margins.trials import Job, Key, Setup, TrialRunner, TrialStore, fingerprint
+from humoslope.interrupts import Interrupt
 
-TRIALS_VERSION = 1
-"""Increased when a trial of the same key becomes another one."""
 NOMINAL = "nominal"
-SAVE_EVERY = 16
-"""Finished trials between two writes of the file."""
-Key = tuple[str, float, int]
-"""Name of the quantity, its value, and number of the trial."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """All that a process needs for a trial.
-
-    Attributes:
-        folder: The export folder.
-        model: MJCF of another robot; None for the export's own.
-        setup: Course, command and conditions.
-        trial: Number of the trial, which with the seed decides its random start.
-    """
-
-    folder: Path
-    model: Path | None
-    setup: Setup
-    trial: int
-
-
-def run_job(job: Job) -> Trial:
-    """Runs one trial."""
-    player = Player(job.folder, contracts.read(job.folder), job.setup.cfg, job.setup.conditions, job.model)
-    return player.run_trial(np.random.default_rng((job.setup.cfg.seed, job.trial)))
-
-
-class TrialStore:
-    """Finished trials in a file. A file of other trials, or a damaged one, is replaced.
-
-    A number of a trial that is NaN, as of one that ended early, is null in the file.
-
-    Args:
-        path: The file.
-        fingerprint: Hash of all that decides the outcome of a trial beyond its key.
-    """
-
-    def __init__(self, path: Path, fingerprint: str) -> None:
-        self._path, self._fingerprint, self._unsaved = path, fingerprint, 0
-        self._trials: dict[Key, Trial] = {}
-        try:
-            raw = read_json(path)
-            if raw["fingerprint"] == fingerprint:
-                self._trials = {(n, float(v), int(i)): _read(fields) for (n, v, i), fields in raw["trials"]}
-        except FileNotFoundError:
-            pass
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            print(f"'{path}' is damaged ({error}); its trials are run anew.", file=sys.stderr)
-
-    def __len__(self) -> int:
-        return len(self._trials)
-
-    def get(self, key: Key) -> Trial | None:
-        """Returns a trial; None if it has not been run."""
-        return self._trials.get(key)
-
-    def add(self, key: Key, trial: Trial) -> None:
-        """Adds a trial and now and then writes the file."""
-        self._trials[key] = trial
-        self._unsaved += 1
-        if self._unsaved >= SAVE_EVERY:
-            self.save()
-
-    def save(self) -> None:
-        """Writes the file."""
-        trials = [[key, _written(trial)] for key, trial in sorted(self._trials.items())]
-        write_json(self._path, {"fingerprint": self._fingerprint, "trials": trials})
-        self._unsaved = 0
-
-
-def _written(trial: Trial) -> dict[str, Any]:
-    """A trial in JSON types, which have no NaN."""
-    return {name: None if math.isnan(value) else value for name, value in vars(trial).items()}
-
-
-def _read(fields: dict[str, Any]) -> Trial:
-    """The trial of which `_written` made `fields`."""
-    numbers: dict[str, Any] = {name: math.nan if value is None else value for name, value in fields.items()}
-    return Trial(**numbers)
 
 
 @dataclass
@@ -181,14 +91,8 @@ class Certificate:
         self.quantities: dict[Name, Quantity] = {name: known[name] for name in dict.fromkeys(names)}
         self.found = {name: Found(Search(len(q.grid))) for name, q in self.quantities.items()}
         self.reference: Series | None = None
-        self.store = TrialStore(store_path, self._fingerprint())
+        self.store = TrialStore(store_path, fingerprint(folder, model, asdict(nominal) | {"trials": None}))
         self._successes: dict[Key, bool] = {}
-
-    def _fingerprint(self) -> str:
-        other = None if self._model is None else hashlib.sha256(self._model.read_bytes()).hexdigest()
-        cfg = asdict(self._nominal) | {"trials": None}
-        files = [hashlib.sha256((self._folder / contracts.FILE).read_bytes()).hexdigest(), other]
-        return hashlib.sha256(json.dumps([TRIALS_VERSION, mujoco.__version__, cfg, files]).encode()).hexdigest()
 
     def setup(self, key: Key) -> Setup:
         """Returns the setup of a trial."""
@@ -218,18 +122,12 @@ class Certificate:
         Raises:
             UserError: If the policy does not succeed under nominal conditions.
         """
-        pool = None
-        if processes > 1:
-            pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), leave_signals_to_parent)
-        try:
-            if not self._drive([self._values(NOMINAL)], pool, processes, interrupt, on_progress):
+        with TrialRunner(self.store, self._job, processes, interrupt) as runner:
+            if not runner.run([self._values(NOMINAL)], lambda asked: on_progress(len(self.store), self._left(asked))):
                 return False
             self._check_nominal()
-            return self._drive([self._values(n) for n in self.found], pool, processes, interrupt, on_progress)
-        finally:
-            if pool is not None:
-                pool.shutdown(cancel_futures=True)
-            self.store.save()
+            searches = [self._values(name) for name in self.found]
+            return runner.run(searches, lambda asked: on_progress(len(self.store), self._left(asked)))
 
     def _values(self, name: Name | str) -> Generator[list[Key], None, None]:
         """Searches for the limit of a quantity; yields trials, all of which are finished when it goes on."""
@@ -261,50 +159,6 @@ class Certificate:
         trial = self.store.get(key)
         assert trial is not None
         return trial
-
-    def _drive(
-        self,
-        searches: list[Generator[list[Key], None, None]],
-        pool: ProcessPoolExecutor | None,
-        processes: int,
-        interrupt: Interrupt,
-        on_progress: Callable[[int, int], object],
-    ) -> bool:
-        """Runs the trials that the searches ask for, side by side; returns False if it was interrupted."""
-        needs: dict[int, set[Key]] = {}
-        waiting: deque[Key] = deque()
-        running: dict[Future[Trial], Key] = {}
-
-        def advance(i: int) -> None:
-            needs.pop(i, None)
-            for keys in searches[i]:
-                if missing := {key for key in keys if self.store.get(key) is None}:
-                    needs[i] = missing
-                    waiting.extend(sorted(missing))
-                    return
-
-        for i in range(len(searches)):
-            advance(i)
-        while needs and not interrupt.requested:
-            if pool is None:
-                finished = [(key := waiting.popleft(), run_job(self._job(key)))]
-            else:
-                while waiting and len(running) < 2 * processes:
-                    key = waiting.popleft()
-                    running[pool.submit(run_job, self._job(key))] = key
-                done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
-                finished = [(running.pop(future), future.result()) for future in done]
-            for key, trial in finished:
-                self.store.add(key, trial)
-                for i in [i for i, missing in needs.items() if key in missing]:
-                    needs[i].discard(key)
-                    if not needs[i]:
-                        advance(i)
-            on_progress(len(self.store), self._left(len(waiting) + len(running)))
-        for future, key in running.items():
-            if not future.cancel():
-                self.store.add(key, future.result())
-        return not needs
 
     def _job(self, key: Key) -> Job:
         return Job(self._folder, self._model, self.setup(key), key[2])

@@ -54,5 +54,6 @@ def log_plots(scene: Scene, rollout: Rollout, shared: str = "", pale: bool = Fal
     loads = {name: 100.0 * share[:, i] for name, i in zip(names, busiest, strict=True)}
     series("load", loads, colours.palette(len(loads)), own=True)
     terms = rollout.header["reward_terms"]
-    rewards = {name.replace("_", " "): c.reward[:, i] for i, name in enumerate(terms)}
-    series("reward", rewards, colours.palette(len(terms)), own=True)
+    if terms:  # the log of a robot has none
+        rewards = {name.replace("_", " "): c.reward[:, i] for i, name in enumerate(terms)}
+        series("reward", rewards, colours.palette(len(terms)), own=True)
