@@ -3,13 +3,14 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+DOCS_STAMP := .venv/.docs
 RESULTS ?= experiments/results/heldout experiments/results/sweep
 ROLLOUT ?= experiments/rollouts/stage2_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  export play terrain bench check-device reproduce recipe drills test lint types check format clean
+  dashboard report export play terrain bench check-device campaign reproduce recipe drills test lint types docs check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -22,6 +23,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "Installing into .venv; the first time takes some minutes."
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+$(DOCS_STAMP): $(STAMP)
+	@$(BIN)/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
 
 train-stage1: $(STAMP) ## Train Stage I; ARGS="--resume latest" goes on with the newest run
@@ -50,6 +55,12 @@ figures: $(STAMP) ## Draw the RESULTS of evaluations to experiments/figures
 
 curve: $(STAMP) ## Draw the learning curve of RUN, a run folder
 	$(BIN)/humoslope curve $(call need,RUN,logs/...) $(ARGS)
+
+dashboard: $(STAMP) ## Show the curves of RUN (by default the newest one) in the terminal, as they grow
+	$(BIN)/humoslope dashboard $(RUN) $(ARGS)
+
+report: $(STAMP) ## Write one HTML page of RUNS, run folders or checkpoints: what is known of them, and what is missing
+	$(BIN)/humoslope report $(call need,RUNS,"logs/a logs/b") $(ARGS)
 
 compare: $(STAMP) ## Compare RUNS, run folders, after equally many environment steps
 	$(BIN)/humoslope compare $(call need,RUNS,"logs/a logs/b") $(ARGS)
@@ -82,11 +93,22 @@ check-device: $(STAMP) ## Check that this installation is right and fast, within
 	$(BIN)/humoslope check HumoSlope-Stage1-Unitree-G1 --checkpoint experiments/checkpoints/stage1.pt \
 	  --curve experiments/results/stage1_curve.csv $(ARGS)
 
-reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two cores; experiments/reproduce.mk states it
-	@$(MAKE) -f experiments/reproduce.mk BIN=$(BIN) $(ARGS)
+campaign: $(STAMP) ## Run the trainings and evaluations of FILE, go on with them; ARGS=--dry-run says what is left
+	$(BIN)/humoslope campaign $(call need,FILE,experiments/table2.toml) $(ARGS)
+
+reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two cores; experiments/reproduce.toml states it
+	$(BIN)/humoslope campaign experiments/reproduce.toml $(ARGS)
+ifeq ($(filter --%,$(ARGS)),)
+	$(BIN)/humoslope table 1 logs/reproduce --out logs/reproduce/tables/table1
+	$(BIN)/humoslope table 2 logs/reproduce --out logs/reproduce/tables/table2
+	$(BIN)/humoslope figures logs/reproduce --out logs/reproduce/figures
+endif
 
 recipe: $(STAMP) ## Compare changes to the CPU recipe in short trainings, some ninety minutes on one core
-	@$(MAKE) -f experiments/recipe.mk BIN=$(BIN) $(ARGS)
+	$(BIN)/humoslope campaign experiments/recipe.toml $(ARGS)
+ifeq ($(filter --%,$(ARGS)),)
+	$(BIN)/humoslope compare logs/recipe --out experiments/results/recipe.md
+endif
 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
 	$(BIN)/python -m pytest $(or $(ARGS),-n auto --dist worksteal --cov --cov-report=term:skip-covered --cov-fail-under=85)
@@ -101,6 +123,10 @@ lint: $(STAMP) ## Check style and format
 types: $(STAMP) ## Check types
 	$(BIN)/mypy
 
+docs: $(DOCS_STAMP) ## Build the pages to docs/_build/html; a warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -q -d docs/_build/doctrees docs docs/_build/html $(ARGS)
+	@echo "wrote docs/_build/html/index.html"
+
 check: lint types test ## Everything that must pass before a commit
 
 format: $(STAMP) ## Put code into its format
@@ -108,5 +134,5 @@ format: $(STAMP) ## Put code into its format
 	$(BIN)/ruff format .
 
 clean: ## Remove caches and build leftovers; .venv and logs stay
-	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage MUJOCO_LOG.TXT build src/*.egg-info
+	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage MUJOCO_LOG.TXT build docs/_build src/*.egg-info
 	find src robots terrains tasks tests -name __pycache__ -type d -exec rm -rf {} +

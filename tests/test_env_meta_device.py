@@ -89,7 +89,13 @@ def on_meta(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "task", ["HumoSlope-Stage1-Unitree-G1", "HumoSlope-Stage2-Unitree-G1", "URL-TerrainRelative-Unitree-G1"]
+    "task",
+    [
+        "HumoSlope-Stage1-Unitree-G1",
+        "HumoSlope-Stage2-Unitree-G1",
+        "URL-TerrainRelative-Unitree-G1",
+        "Gallant-Unitree-G1",
+    ],
 )
 def test_all_of_a_step_happens_on_the_physics_device(on_meta: None, task: str) -> None:
     cfg = build_task(task).env

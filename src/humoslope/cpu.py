@@ -7,12 +7,16 @@ import os
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
+SHARE = "HUMOSLOPE_THREADS"
+"""Environment variable with the most CPUs that a process is to use, for processes that share a machine."""
+
 
 def usable_cores() -> int:
-    """Returns the number of logical CPUs that a batch system or `taskset` leaves to this process."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1  # macOS and Windows do not say more
+    """Returns the number of logical CPUs that a batch system or `taskset` leaves to this process, or its `SHARE`."""
+    # macOS and Windows do not say more than how many there are.
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    share = os.environ.get(SHARE, "")
+    return min(there, int(share)) if share.isdecimal() and int(share) else there
 
 
 def thread_advice() -> str | None:

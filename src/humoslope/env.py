@@ -16,7 +16,6 @@ from humoslope import snapshot
 from humoslope.cpu import on_one_thread
 from humoslope.managers import (
     ActionManager,
-    CommandManager,
     CurriculumManager,
     EventManager,
     EventTermCfg,
@@ -38,6 +37,7 @@ from humoslope.managers import (
 )
 from humoslope.memory import require_memory
 from humoslope.ranges import Range, Seed, Timestep, check_config, check_params
+from humoslope.scene.bodies import Bodies
 from humoslope.scene.drives import Drives
 from humoslope.scene.height_scan import HeightScan, HeightScanCfg
 from humoslope.scene.masses import Masses
@@ -174,6 +174,13 @@ def _check_terms(cfg: EnvCfg) -> None:
         check_params(f"{kind} '{name}'", term.func, term.params)
 
 
+def _functions(cfg: EnvCfg) -> list[Any]:
+    """Functions and classes of all terms."""
+    groups = [group.terms for group in cfg.observations.values()]
+    sets: tuple[Terms[Any], ...] = (*groups, cfg.rewards, cfg.terminations, cfg.events, cfg.curriculum, cfg.observers)
+    return [cfg.command, *(term.func for terms in sets for term in terms.values())]
+
+
 class ManagerBasedRlEnv:
     """Environment of N envs that are stepped together; an env whose episode ends is reset within the step.
 
@@ -192,6 +199,7 @@ class ManagerBasedRlEnv:
         step_dt: Duration of a control step, s.
         start_root_pos_w: [N, 3] position of the root at the start of the episode, m.
         diverged: [N] bool; envs whose physics failed numerically in the last step.
+        bodies: Poses of bodies by name, if a term reads them.
         observers: What measures and records, see `ObserverManager`.
         terminal_observations: See `enable_terminal_observations`.
     """
@@ -244,7 +252,8 @@ class ManagerBasedRlEnv:
         self.start_root_pos_w = self.zeros(3)
         self._keeps_terminal_observations = False
 
-        self.commands = CommandManager(self, cfg.command)
+        self.bodies = Bodies(self.sim, _functions(cfg))
+        self.commands = cfg.command.build(self)
         self.actions = ActionManager(self, cfg.actions)
         self.events = EventManager(self, cfg.events)
         self.curriculum = CurriculumManager(self, cfg.curriculum)

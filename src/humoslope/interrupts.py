@@ -100,6 +100,19 @@ def die_with_parent() -> None:
             os.kill(os.getpid(), signal.SIGKILL)
 
 
+def stop_with_parent(parent: int, number: int) -> None:
+    """Called in a child process: it gets a signal when its parent dies, so that it can still save. On Linux alone.
+
+    Args:
+        parent: Process id of the parent, which may have died already.
+        number: The signal.
+    """
+    if _LIBC is not None:
+        _LIBC.prctl(PR_SET_PDEATHSIG, number)
+        if os.getppid() != parent:
+            os.kill(os.getpid(), number)
+
+
 def leave_signals_to_parent() -> None:
     """Called in the processes of a pool: Ctrl-C and a closed terminal reach every process, but the first one ends the
     others."""

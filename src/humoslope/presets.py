@@ -22,7 +22,8 @@ def resolve_preset(preset: Preset) -> Literal["cpu", "gpu"]:
 def apply_preset(cfg: TaskCfg, preset: Literal["cpu", "gpu"]) -> None:
     """Sets the scale of a task for a machine: number of envs, physics step, width of networks and epochs.
 
-    Observations and rewards are the same in every preset.
+    Rewards are the same in every preset, and so are observations, except for sensors that have a size of their own for
+    a preset (`scale_to`).
 
     Raises:
         UserError: If the preset does not exist.
@@ -38,4 +39,8 @@ def apply_preset(cfg: TaskCfg, preset: Literal["cpu", "gpu"]) -> None:
         cfg.env.sim.cone = "pyramidal"
     else:
         raise unknown("preset", preset, ("cpu", "gpu"))
+    for group in cfg.env.observations.values():
+        for term in group.terms.values():
+            if hasattr(term.func, "scale_to"):
+                term.params.update(term.func.scale_to(preset))
     cfg.agent.scale_to(preset)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,10 +10,9 @@ import pytest
 from torch.utils.tensorboard import SummaryWriter
 
 from humoslope.cli import main
+from humoslope.evaluation.report.bands import band
 from humoslope.evaluation.report.compare import shortened
-from humoslope.evaluation.report.curve import STEPS
-
-ROOT = Path(__file__).parents[2]
+from humoslope.evaluation.report.curve import STEPS, read_curves, write_table
 
 
 def train(folder: Path, steps: float, iterations: int, speed: float, options: str) -> Path:
@@ -74,31 +70,57 @@ def test_mistakes_are_said_in_one_sentence(mistake: Callable[..., str], runs: li
     assert "must end in .md or .csv" in mistake("compare", *runs, "--out", str(tmp_path / "a.png"))
 
 
-def recipe(out: Path, programs: Path) -> subprocess.CompletedProcess[str]:
-    """What `make recipe` would do with the `python` and `humoslope` in the folder `programs`."""
-    clean = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
-    clean["PYTHONPATH"] = os.pathsep.join((str(ROOT / "src"), str(ROOT)))
-    words = ["make", "-n", "-f", "experiments/recipe.mk", f"BIN={programs}", f"OUT={out}/runs", f"TABLE={out}/table.md"]
-    return subprocess.run(words, cwd=ROOT, env=clean, capture_output=True, text=True, check=False)
+@pytest.fixture
+def seeds(tmp_path: Path) -> list[str]:
+    """Three runs of a method, three of one that walks faster, and one of a third."""
+    folders = []
+    for row, seed, speed in (
+        *(("slow", s, 0.010 + 0.0002 * s) for s in (1, 2, 3)),
+        *(("fast", s, 0.020 + 0.0002 * s) for s in (1, 2, 3)),
+        ("alone", 1, 0.016),
+    ):
+        calibrated = f"--env.rewards.swing-hip.params.beta0 {0.1 * seed}"
+        options = f"--preset cpu --agent.gamma {0.9 if row == 'fast' else 0.99} --env.seed {seed} {calibrated}"
+        folders.append(str(train(tmp_path / row / f"seed{seed}", 1000.0, 20, speed, options)))
+    return folders
 
 
-def test_the_recipe_ends_if_the_rewards_cannot_be_halved(tmp_path: Path) -> None:
-    done = recipe(tmp_path, tmp_path / "nowhere")
-    assert done.returncode != 0
-    assert "half-rewards" in done.stderr
-    assert "cannot list the rewards" in done.stderr
-    assert "half-rewards" not in done.stdout
+def test_runs_that_differ_in_their_seed_are_a_row_and_told_apart_only_where_the_seeds_carry_it(
+    seeds: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", *seeds, "--out", str(tmp_path / "a.md"), "--curves", str(tmp_path / "a.png")]) == 0
+    said = capsys.readouterr().out
+    assert "Differences from slow" in said
+    text = (tmp_path / "a.md").read_text()
+    # 20,000 steps; the last tenth is the iterations 19 and 20.
+    assert "| slow | 3 seeds --agent.gamma 0.99 | 0.203 (" in text
+    assert "| alone/seed1 | 1 seed --agent.gamma 0.99 | 0.312 |" in text
+    differing = text[text.index("Differences") :]
+    assert "| fast | 3 seeds --agent.gamma 0.9 | +0.195 (+0.1" in differing
+    assert "| fast | 3 seeds --agent.gamma 0.9 | higher |" in differing
+    assert "| alone/seed1 | 1 seed --agent.gamma 0.99 | one seed |" in differing
+    assert (tmp_path / "a.png").is_file()
 
 
-def test_the_recipe_is_compared_by_options_that_exist(tmp_path: Path) -> None:
-    done = recipe(tmp_path, Path(sys.executable).parent)
-    assert done.returncode == 0, done.stderr
-    printed = done.stdout
-    trainings = [line.split()[1:] for line in printed.splitlines() if "humoslope train" in line]
-    assert len(trainings) == 10
-    assert len({" ".join(words[words.index("--env.num-envs") :]) for words in trainings}) == 10
-    for verb, task, *options in trainings:
-        small = ["--env.num-envs", "2", "--agent.num-steps-per-env", "2", "--agent.max-iterations", "1"]
-        small += ["--agent.num-mini-batches", "1", "--env.scene.terrain.levels", "2"]
-        assert main([verb, task, *options, *small]) == 0
-    assert f"compare {tmp_path}/runs/recipe" in printed
+def test_every_run_can_have_a_row_of_its_own(seeds: list[str], tmp_path: Path) -> None:
+    assert main(["compare", *seeds, "--each", "--out", str(tmp_path / "a.csv")]) == 0
+    assert list(table(tmp_path / "a.csv")) == [
+        *(f"{row}/seed{seed}" for row in ("slow", "fast") for seed in (1, 2, 3)),
+        "alone/seed1",
+    ]
+
+
+def test_the_band_goes_from_the_lowest_to_the_highest_seed() -> None:
+    steps = {i: 1000.0 * (i + 1) for i in range(10)}
+    curves = [{STEPS: steps, "Train/speed": dict.fromkeys(range(10), level)} for level in (1.0, 2.0, 6.0)]
+    x, mean, low, high = band(curves, "Train/speed", points=4)
+    assert list(x) == [1000.0, 4000.0, 7000.0, 10000.0]
+    assert (set(mean), set(low), set(high)) == ({3.0}, {1.0}, {6.0})
+
+
+def test_a_run_without_event_files_may_have_its_curves_in_a_table(runs: list[str], tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    write_table(read_curves(Path(runs[0])), kept / "curve.csv")
+    assert main(["compare", runs[0], str(kept), "--each", "--out", str(tmp_path / "a.csv")]) == 0
+    rows = table(tmp_path / "a.csv")
+    assert float(rows["kept"]["speed m/s"]) == pytest.approx(float(rows["first"]["speed m/s"]), rel=1e-4)

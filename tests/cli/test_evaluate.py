@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from humoslope.cli import main
+from humoslope.evaluation.causes import CAUSES
 from humoslope.evaluation.track.progress import Progress
 from humoslope.evaluation.track.protocol import SWEEP_GRADES
 from humoslope.evaluation.track.run import Plan
@@ -61,6 +62,10 @@ def test_the_table_has_a_row_for_every_cell_and_the_file_says_what_was_measured(
     assert report["protocol"]["timeout_s"] == 1.2
     assert report["physics"]["cone"] == "elliptic"
     assert report["checkpoints"][0]["task"] == "HumoSlope-Stage1-Unitree-G1"
+    for grade in report["grades"]:
+        assert sum(grade["causes"].values()) == 2
+        assert set(grade["causes"]) <= set(CAUSES)
+    assert "Why trials failed: the first cause, by grade" in printed
     assert "departs from the protocol: timeout_s 1.2" in printed
     assert "Its training used the harness" in printed
     assert report["command_line"].startswith("humoslope evaluate ")

@@ -21,7 +21,13 @@ def folder(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("which", "shown"), [("1", "paper: Ours"), ("2", "paper: Full"), ("diagnostics", "torso pitch")]
+    ("which", "shown"),
+    [
+        ("1", "paper: Ours"),
+        ("2", "paper: Full"),
+        ("diagnostics", "torso pitch"),
+        ("causes", "Why trials failed"),
+    ],
 )
 def test_a_table_is_printed_and_written(folder, tmp_path, capsys, which, shown):
     out = tmp_path / "tables" / "v1.0"

@@ -18,7 +18,6 @@ from rich.console import Console
 
 from humoslope.cli import main
 from humoslope.cli.options import parse
-from humoslope.cli.overrides import option_groups
 from humoslope.cli.train import TrainArgs
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
@@ -30,6 +29,7 @@ from humoslope.learning.rng import seed_everything
 from humoslope.learning.run_folder import saved_options
 from humoslope.learning.trainer import Trainer, tf32_products
 from humoslope.managers import RewardTermCfg
+from humoslope.words import option_groups
 from tests import processes
 
 PATIENCE_S = 600.0

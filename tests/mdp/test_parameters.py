@@ -28,7 +28,7 @@ SIGNED = {
     *("root_height.target", "foot_clearance.target", "root_too_low.height"),  # world heights of the literal baseline
 }
 """Where a negative value has a meaning."""
-NAMES = {"joints", "hip", "knee", "ankle", "knees", "body", "cue", "event", "harness", "plane"}
+NAMES = {"joints", "hip", "knee", "ankle", "knees", "hips", "body", "cue", "event", "harness", "plane"}
 
 
 def terms_of(task):
@@ -126,6 +126,7 @@ def test_no_range_of_any_term_may_be_reversed(refusal):
         *("root.along", "root.across", "root.yaw", "joints.position", "joints.velocity"),
         *("link_masses.factor", "strength.strength", "armature.factor", "joint_damping.damping"),
         *("contact_softness.time_constant", "control_delay.delay", "observation_age.age"),
+        *("pace.pace", "feet_apart.span", "legs_apart.span"),
     }
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
+from humoslope.evaluation.causes import SIGNALS
 from humoslope.replay import events
-from humoslope.replay.rollout import Rollout
+from humoslope.replay.rollout import Event, Rollout
+from tests.evaluation import test_causes as judged
 
 DT, ROWS = 0.02, 200
 
@@ -30,6 +33,23 @@ def test_every_fall_is_an_event_the_last_one_too(altered: Callable[..., Rollout]
     columns = altered(episode=stretches((80, 0), (70, 1), (50, 2)).astype(np.int32)).columns
     np.testing.assert_allclose([e.time for e in events.falls(columns, last=False)], [1.6, 3.0], atol=1e-5)
     np.testing.assert_allclose([e.time for e in events.falls(columns, last=True)], [1.6, 3.0, 4.0], atol=1e-5)
+
+
+def test_the_cause_of_each_fall_is_an_event_at_the_moment_when_it_began(altered: Callable[..., Rollout]) -> None:
+    quiet = judged.walking()
+    slipped, tipped = judged.during(quiet, 38, 46, **judged.SLIDES), quiet
+    rows = judged.ROWS
+    columns = altered(episode=stretches((rows, 0), (rows, 1), (50, 2)).astype(np.int32)).columns
+    moments = np.stack(
+        [np.concatenate([slipped[name], tipped[name], quiet[name][:50]]) for name in SIGNALS], axis=1
+    )  # [T, S]
+    fallen = [Event(DT * rows, "fall", "the robot falls"), Event(DT * 2 * rows, "fall", "the robot falls")]
+    slip, tip = events.causes(columns, fallen, moments, DT)
+    assert (slip.kind, slip.text) == ("cause", "first cause: slip, the left foot slides by 14 cm")
+    assert slip.time == pytest.approx(DT * (38 + 1))
+    assert tip.text.startswith("first cause: tip, the robot tips over")
+    assert DT * rows < tip.time < fallen[1].time
+    assert events.causes(columns, [], moments, DT) == []
 
 
 def test_a_push_says_how_hard_and_where_to() -> None:

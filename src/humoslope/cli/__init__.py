@@ -15,6 +15,7 @@ from humoslope.interrupts import Terminated, handled
 
 VERBS = {
     "train": "Train a task.",
+    "campaign": "Run a table of trainings and evaluations.",
     "list": "List the registered tasks and terrains.",
     "terrain": "Draw a terrain to a PNG.",
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
@@ -22,7 +23,9 @@ VERBS = {
     "calibrate": "Fit the swing reference of Stage II to a Stage-I checkpoint.",
     "table": "Print the paper's tables beside the results of evaluations.",
     "figures": "Draw the results of evaluations.",
+    "dashboard": "Show the curves of a training in the terminal.",
     "curve": "Draw the learning curve of a run.",
+    "report": "Write one HTML page of a run or of a comparison.",
     "compare": "Compare training runs after equally many environment steps.",
     "record": "Record one walk of a checkpoint to a file.",
     "replay": "Show a recorded walk in rerun.",

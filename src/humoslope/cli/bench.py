@@ -44,6 +44,7 @@ class Options(Checked):
         checkpoint: Path of a checkpoint whose actor drives the robots, so that they touch the ground as in walking. By
             default actions are random.
         out: Path of a JSON file for the results; by default none is written.
+        watch: Measure what `train --watch` costs instead: iterations with and without a live view in turn.
     """
 
     VERB: ClassVar[str] = "bench"
@@ -53,6 +54,7 @@ class Options(Checked):
     preset: Preset = "auto"
     checkpoint: str = ""
     out: str = ""
+    watch: bool = False
 
 
 def run(arguments: list[str]) -> None:
@@ -68,6 +70,9 @@ def run(arguments: list[str]) -> None:
         check_place(Path(options.out))
 
     console = Console(width=None if sys.stdout.isatty() else 100)
+    if options.watch:
+        _measure_watching(task, typed, options, console)
+        return
     driver = f"the actor of {options.checkpoint}" if options.checkpoint else f"random actions of std {RANDOM_STD:g}"
     load = os.getloadavg()[0]
     console.print(
@@ -85,6 +90,20 @@ def run(arguments: list[str]) -> None:
     console.print(speed_table(results, options.preset), descriptor_table(results), parts_table(results))
     if options.out:
         console.print(f"wrote {options.out}", soft_wrap=True)
+
+
+def _measure_watching(task: str, typed: list[str], options: Options, console: Console) -> None:
+    from humoslope.replay.rerun.live_cost import cost_table, watch_cost  # loads the viewer, which takes a while
+
+    costs = []
+    for size in sorted(options.sizes):
+        cfg, _ = parse(Options(), task, typed, "bench")
+        cfg.env.num_envs = size
+        costs.append(watch_cost(task, cfg, options.rounds))
+    if options.out:
+        told = {"what": "watch", "task": task, "options": typed, "sizes": [dataclasses.asdict(cost) for cost in costs]}
+        write_json(Path(options.out), finite(told))
+    console.print(cost_table(costs))
 
 
 def _measure_apart(task: str, typed: list[str], num_envs: int) -> Measurement:

@@ -9,29 +9,39 @@ from typing import Annotated, ClassVar
 import tyro
 
 from humoslope.cli.arguments import parse_options
-from humoslope.cli.overrides import option_groups
 from humoslope.errors import UserError
-from humoslope.evaluation.report.compare import compare
+from humoslope.evaluation.report.bands import draw_bands
+from humoslope.evaluation.report.compare import TrainingRun, compare
+from humoslope.evaluation.report.results import by_row
 from humoslope.files import check_place, write_text
-from humoslope.learning.run_folder import saved_options
+from humoslope.learning.run_folder import saved_options, start_of
 from humoslope.ranges import Checked, Range
+from humoslope.words import option_groups
 
 
 @dataclasses.dataclass(frozen=True)
 class Options(Checked):
     """Prints a table of training runs, with the options in which they differ.
 
+    Runs that differ in their seed alone are one row, with an interval over seeds, and a second table says which of the
+    differences from the first row the seeds carry.
+
     Attributes:
-        runs: Paths of run folders.
+        runs: Paths of run folders; the folder of a campaign stands for all of its runs.
         at: Number of environment steps after which they are compared; 0 for as many as the shortest run has.
+        each: Give every run a row of its own.
         out: Path of a file for the table too, as Markdown (.md) or CSV (.csv).
+        curves: Path of a picture of the learning curves: of each row the mean over its seeds, in a band from the lowest
+            to the highest seed.
     """
 
     VERB: ClassVar[str] = "compare"
 
     runs: tyro.conf.Positional[tuple[Path, ...]]
     at: Annotated[float, Range(0.0, 1e15)] = 0.0
+    each: bool = False
     out: Path | None = None
+    curves: Path | None = None
 
 
 def run(arguments: list[str]) -> None:
@@ -43,12 +53,28 @@ def run(arguments: list[str]) -> None:
         if options.out.suffix not in (".md", ".csv"):
             raise UserError(f"the table '{options.out}' must end in .md or .csv.")
         check_place(options.out)
-    sheet = compare(options.runs, [_groups(folder) for folder in options.runs], options.at)
-    sheet.show()
+    if options.curves is not None:
+        check_place(options.curves)
+    runs = [_read(folder) for path in options.runs for folder in _folders(path)]
+    sheets = compare(runs, options.at, options.each)
+    for sheet in sheets:
+        sheet.show()
     if options.out is not None:
-        write_text(options.out, sheet.to_markdown() if options.out.suffix == ".md" else sheet.to_csv())
+        texts = [sheet.to_markdown() if options.out.suffix == ".md" else sheet.to_csv() for sheet in sheets]
+        write_text(options.out, "\n".join(texts))
         print(f"wrote {options.out}")
+    if options.curves is not None:
+        draw_bands(runs, options.curves, options.at)
+        print(f"wrote {options.curves}")
 
 
-def _groups(run_dir: Path) -> list[str]:
-    return [" ".join(words) for words in option_groups(saved_options(run_dir)).values()]
+def _folders(path: Path) -> list[Path]:
+    """The run folders of a campaign, or the folder itself."""
+    found = [folder for folder in path.glob("*/seed*") if any(folder.glob("model_*.pt"))]
+    return by_row(path, found, lambda folder: folder) or [path]
+
+
+def _read(folder: Path) -> TrainingRun:
+    groups = option_groups(saved_options(folder))
+    about = start_of(folder) or {}
+    return TrainingRun(folder, about.get("task", ""), {name: " ".join(words) for name, words in groups.items()})

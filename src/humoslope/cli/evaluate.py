@@ -57,9 +57,7 @@ class Options(Kind):
 
 def run(arguments: list[str]) -> None:
     """Evaluates the checkpoints named in `arguments`."""
-    kind, _ = tyro.cli(Kind, args=arguments, add_help=False, return_unknown_args=True)
-    default = Options(protocol=sweep_protocol() if kind.sweep else HeldOutProtocol())
-    options = parse_options(Options, arguments, "evaluate", default)
+    options = read_options(arguments)
     if not options.checkpoints:
         raise UserError("evaluate needs a checkpoint, such as logs/.../model_1000.pt.")
     plan = Plan(
@@ -72,3 +70,10 @@ def run(arguments: list[str]) -> None:
     )
     if stopped_by := evaluate([trained(path) for path in options.checkpoints], plan, Console()):
         raise Terminated(stopped_by)
+
+
+def read_options(arguments: list[str]) -> Options:
+    """The options in `arguments`; those that are not there have the defaults of the kind of evaluation."""
+    kind, _ = tyro.cli(Kind, args=arguments, add_help=False, return_unknown_args=True)
+    default = Options(protocol=sweep_protocol() if kind.sweep else HeldOutProtocol())
+    return parse_options(Options, arguments, "evaluate", default)

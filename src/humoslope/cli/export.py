@@ -43,7 +43,7 @@ def run(arguments: list[str]) -> None:
         check_place(folder / file)
 
     console = Console()
-    console.print(f"{provenance.task}, iteration {provenance.iteration}: walking, translating", soft_wrap=True)
+    console.print(f"{provenance.name}, iteration {provenance.iteration}: walking, translating", soft_wrap=True)
     env = ManagerBasedRlEnv(ramp_env_cfg(task.env, WALK, read_spec(provenance.path).groups))
     actor = load_actor(provenance.path, env, provenance.task)
     result = export(actor, env, task.env, record_observations(env, actor, WALK.seconds), folder)

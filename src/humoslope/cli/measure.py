@@ -50,7 +50,7 @@ def introduce(console: Console, env: ManagerBasedRlEnv, provenance: Provenance, 
     sim, seen = env.cfg.sim, f"{provenance.total_steps / 1e6:.2f} M steps"
     friction = f"friction max({protocol.friction:g}, tan|grade| + {protocol.friction_margin:g})"
     console.print(
-        f"[bold]{provenance.task}[/bold], iteration {provenance.iteration}, {seen}\n"
+        f"[bold]{provenance.name}[/bold], iteration {provenance.iteration}, {seen}\n"
         f"{env.num_envs} envs, {protocol.starts} for each of {len(protocol.grades)} grades; "
         f"{protocol.in_words} for {protocol.seconds:g} s; {friction}\n"
         f"physics '{env.sim.backend}' on {env.device}, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone; "

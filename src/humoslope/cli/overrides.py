@@ -1,4 +1,4 @@
-"""Rules by which tyro shows the fields of a task's configuration as options, and lists of options as typed.
+"""Rules by which tyro shows the fields of a task's configuration as options.
 
 tyro lists dataclasses, mappings and choices by itself. It is told here that `Terms` are listed by name, that a term has
 the parameters of its function as options, also those that the task leaves to their defaults, and that a robot is fixed.
@@ -114,25 +114,3 @@ def _summary(thing: Any) -> str:
     """First lines of the docstring of a term's function, or of a group's class."""
     subject = thing.func if isinstance(thing, TermCfg) else type(thing)
     return docstring_parser.parse(subject.__doc__ or "").short_description or ""
-
-
-def merge_options(first: list[str], then: list[str], without: tuple[str, ...] = ()) -> list[str]:
-    """Two lists of options as one, in which a later option replaces an earlier one of the same name.
-
-    Args:
-        without: Names to leave out.
-    """
-    groups = option_groups([*first, *then])
-    return [word for name, words in groups.items() if name not in without for word in words]
-
-
-def option_groups(options: list[str]) -> dict[str, list[str]]:
-    """Words of each option by its name, written with dashes. Of several options with one name the last one counts."""
-    groups: dict[str, list[str]] = {}
-    name = ""
-    for word in options:
-        if word.startswith("--"):
-            name = word.partition("=")[0].replace("_", "-")
-            groups.pop(name, None)
-        groups.setdefault(name, []).append(word)
-    return groups

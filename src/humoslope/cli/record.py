@@ -50,7 +50,7 @@ def run(arguments: list[str]) -> None:
     env = ManagerBasedRlEnv(record_env_cfg(task.env, protocol, read_spec(path).groups))
     actor = load_actor(path, env, provenance.task)
     console.print(
-        f"{provenance.task}, iteration {provenance.iteration}: {protocol.terrain} at {grade:g}°, "
+        f"{provenance.name}, iteration {provenance.iteration}: {protocol.terrain} at {grade:g}°, "
         f"{protocol.speed:g} m/s, {protocol.seconds:g} s; physics '{env.sim.backend}', "
         f"{env.cfg.sim.timestep * 1e3:g} ms x {env.cfg.sim.decimation}, {env.cfg.sim.cone} cone",
         highlight=False,

@@ -11,7 +11,6 @@ import torch
 from rich.console import Console
 
 from humoslope.cli.options import configuration_of, early, parse
-from humoslope.cli.overrides import merge_options, option_groups
 from humoslope.cli.warm_start import Origin, find_origin
 from humoslope.cpu import thread_advice, usable_cores
 from humoslope.env import ManagerBasedRlEnv
@@ -24,10 +23,14 @@ from humoslope.learning.policy import spec_of
 from humoslope.learning.rng import seed_everything
 from humoslope.learning.run_folder import claimed, find_run, record_start, tee
 from humoslope.learning.trainer import Trainer
+from humoslope.learning.videos import IntervalVideos
 from humoslope.presets import Preset
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
+from humoslope.words import merge_options, option_groups
 
-ONCE = ("--resume", "--run-dir", "--init", "--calibration")
+LOOKING = ("--watch", "--no-watch", "--watch-worlds", "--web-port", "--port", "--video-every")
+"""Options that let somebody look on, and change nothing in the training."""
+ONCE = ("--resume", "--run-dir", "--init", "--calibration", *LOOKING)
 """Options of a single start, which are not recorded as options of the run."""
 
 
@@ -45,6 +48,12 @@ class TrainArgs:
             that continues another one finds it by itself.
         calibration: Path of a swing calibration, or "prior" for the values in the task's configuration; by default the
             calibration beside the checkpoint that the run starts from.
+        watch: Show a few robots live in a browser on this machine. While nobody looks, nothing is sent.
+        watch_worlds: Number of robots that are shown, spread over the columns of the terrain.
+        web_port: TCP port of the web page.
+        port: TCP port that training sends to and the web page reads from.
+        video_every: Number of iterations between two videos in the run folder, drawn at low priority while training
+            goes on; 0 for none.
     """
 
     preset: Preset = "auto"
@@ -52,6 +61,11 @@ class TrainArgs:
     run_dir: str = ""
     init: str = ""
     calibration: str = ""
+    watch: bool = False
+    watch_worlds: int = 4
+    web_port: int = 9090
+    port: int = 9877
+    video_every: int = 0
 
 
 def run(arguments: list[str]) -> None:
@@ -77,20 +91,27 @@ def run(arguments: list[str]) -> None:
         cfg, args = parse(TrainArgs(), task, options)
         # A resumed run keeps its scale on any machine.
         options = merge_options(options, ["--preset", args.preset], without=ONCE)
-        _train(task, cfg, options, None, Path(args.run_dir) if args.run_dir else None, origin)
+        _train(task, cfg, options, None, Path(args.run_dir) if args.run_dir else None, origin, args)
         return
     start = checkpoint.latest(resumed)
     base = _resumed_cfg(start, task)
     _require_effect(options, base)
-    cfg, _ = parse(TrainArgs(), task, options, base=base)
-    _train(task, cfg, merge_options(options, [], without=ONCE), start, resumed, Origin())
+    cfg, args = parse(TrainArgs(), task, options, base=base)
+    _train(task, cfg, merge_options(options, [], without=ONCE), start, resumed, Origin(), args)
 
 
 def _train(
-    task: str, cfg: TaskCfg, options: list[str], resumed: Path | None, run_dir: Path | None, origin: Origin
+    task: str,
+    cfg: TaskCfg,
+    options: list[str],
+    resumed: Path | None,
+    run_dir: Path | None,
+    origin: Origin,
+    args: TrainArgs,
 ) -> None:
     processes = read_processes()
     # What can be wrong is said before anything is written, and as far as possible before anything is built.
+    _check_looking(args)
     cfg.agent.check()
     device = choose_device(cfg.env.sim.device, cfg.env.sim.backend, processes)
     # Every process draws its own randomness, on a device of its own; the checkpoint keeps what was asked for.
@@ -121,10 +142,37 @@ def _train(
             _introduce_origin(console, cfg, origin)
             if env.device.type == "cpu" and (advice := thread_advice()):
                 console.print(f"[yellow]{advice}[/yellow]", soft_wrap=True)
+        if run_dir is not None:
+            _let_look(stack, console, trainer, run_dir, args)
         if not trainer.train():
             # A launcher of several processes ends all as soon as one ends with another code than 0.
             wait_for_all(env.device)
             raise Terminated(trainer.stopped_by)
+
+
+def _check_looking(args: TrainArgs) -> None:
+    if args.video_every < 0:
+        raise UserError(f"--video-every is {args.video_every}; it must be 0 or more.")
+    if args.watch:
+        if args.watch_worlds < 1:
+            raise UserError(f"--watch-worlds is {args.watch_worlds}; it must be at least 1.")
+        from humoslope.replay.rerun.viewer import check_ports
+
+        check_ports(args.web_port, args.port)
+
+
+def _let_look(stack: ExitStack, console: Console, trainer: Trainer, run_dir: Path, args: TrainArgs) -> None:
+    """Lets those look on whom the user asked for."""
+    if args.video_every:
+        trainer.onlookers.append(IntervalVideos(run_dir, args.video_every, trainer.save, console))
+    if args.watch:
+        from humoslope.replay.rerun.live import live_view  # loads the viewer, which takes a while
+
+        title = f"{trainer.task}, {run_dir.name}"
+        view = live_view(trainer.env, args.watch_worlds, args.web_port, args.port, title)
+        live, address = stack.enter_context(view)
+        trainer.onlookers.append(live)
+        console.print(f"Live view: {address}", soft_wrap=True, highlight=False)
 
 
 def _resumed_cfg(start: Path, task: str) -> TaskCfg:

@@ -14,18 +14,19 @@ from humoslope.cli.arguments import parse_options
 from humoslope.errors import UserError
 from humoslope.files import check_place
 from humoslope.ranges import Checked
-from humoslope.replay.film.video import VideoCfg, write_sheet, write_video
+from humoslope.replay.film.video import ENDINGS, VideoCfg, write_sheet, write_video
 from humoslope.replay.rollout import load_rollout
 
 
 @dataclasses.dataclass(frozen=True)
 class Options(Checked):
-    """Draws a recorded walk to an mp4 and to a PNG contact sheet. Needs no display, GPU or graphics driver.
+    """Draws a recorded walk to a video and to a PNG contact sheet. Needs no display, GPU or graphics driver.
 
     Attributes:
         rollout: Path of a rollout, a file of `humoslope record`.
         video: Settings of the video.
-        out: Path of the mp4; by default beside the rollout. The contact sheet has the same name with .png.
+        out: Path of the video, ending in .mp4, .gif or .webp; by default an mp4 beside the rollout. The contact sheet
+            has the same name with .png.
         sheet_only: Draw the contact sheet alone.
     """
 
@@ -43,8 +44,8 @@ def run(arguments: list[str]) -> None:
     rollout, cfg, console = load_rollout(options.rollout), options.video, Console()
     stem = options.rollout.name.removesuffix(".npz").removesuffix(".rollout")
     out = options.out or options.rollout.with_name(f"{stem}.mp4")
-    if out.suffix != ".mp4":
-        raise UserError(f"--out '{out}' must end in .mp4.")
+    if out.suffix not in ENDINGS:
+        raise UserError(f"--out '{out}' must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}.")
     sheet = out.with_suffix(".png")
     for path in (out, sheet):
         check_place(path)

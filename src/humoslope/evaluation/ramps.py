@@ -272,16 +272,18 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str]
         # The trial ends first, so that a time-out never ends an episode here.
         episode_length_s=protocol.seconds + 10.0 * sim.timestep * sim.decimation,
         seed=protocol.seed,
-        command=dataclasses.replace(
-            task_env.command,
-            speed=(protocol.speed,) * 2,
-            lateral=(protocol.lateral,) * 2,
-            yaw_rate=(protocol.yaw_rate,) * 2 if protocol.yaw_rate else task_env.command.yaw_rate,
-            heading_share=0.0 if protocol.standing or protocol.yaw_rate else 1.0,
-            # Only a robot that walks ahead along its tile comes back to the centre line by turning towards it.
-            lateral_gain=task_env.command.lateral_gain if protocol.straight else 0.0,
-            standing_share=1.0 if protocol.standing else 0.0,
-            modes={},
+        command=task_env.command.on_course(
+            dataclasses.replace(
+                task_env.command,
+                speed=(protocol.speed,) * 2,
+                lateral=(protocol.lateral,) * 2,
+                yaw_rate=(protocol.yaw_rate,) * 2 if protocol.yaw_rate else task_env.command.yaw_rate,
+                heading_share=0.0 if protocol.standing or protocol.yaw_rate else 1.0,
+                # Only a robot that walks ahead along its tile comes back to the centre line by turning towards it.
+                lateral_gain=task_env.command.lateral_gain if protocol.straight else 0.0,
+                standing_share=1.0 if protocol.standing else 0.0,
+                modes={},
+            )
         ),
         observations=policy_observations(task_env, groups, enable_corruption=False),
         rewards=Terms(),

@@ -107,6 +107,13 @@ class PpoCfg(AgentCfg):
 
     START_ONLY: ClassVar[tuple[str, ...]] = ("init_std", "learning_rate")
 
+    network: ClassVar[str] = "mlp"
+    """Name that the actor's network is registered under."""
+
+    def network_settings(self, env: ManagerBasedRlEnv) -> dict[str, Any]:
+        """Arguments of actor and critic that follow from the environment, beyond those of `to_rsl_rl`."""
+        return {}
+
     def scale_to(self, preset: Literal["cpu", "gpu"]) -> None:
         """Smaller networks and fewer epochs on a CPU."""
         if preset == "cpu":

@@ -8,6 +8,7 @@ from typing import Any
 
 from humoslope.errors import UserError
 from humoslope.packing import ROBOT, describe, differences, unpack
+from humoslope.presets import apply_preset
 from humoslope.provenance import plain
 from humoslope.registry import TaskCfg, all_tasks, build_task, content_packages
 
@@ -56,8 +57,17 @@ def changes_since(path: Path, state: Mapping[str, Any], trained: TaskCfg, groups
     task = state["task"]
     if task not in all_tasks():
         return f"Task '{task}' is not registered here; the configuration in '{path}' is used."
-    found = departures(state, trained, build_task(task), groups)
+    # A sensor may have a size of its own in a preset: that is no change of the task.
+    found = min((departures(state, trained, today, groups) for today in _sizes_of(task)), key=len)
     return found and f"Task '{task}' has changed since in {found}; the configuration in '{path}' is used."
+
+
+def _sizes_of(task: str) -> list[TaskCfg]:
+    """The task as it is registered, and in the presets."""
+    sizes = [build_task(task) for _ in range(3)]
+    apply_preset(sizes[1], "gpu")
+    apply_preset(sizes[2], "cpu")
+    return sizes
 
 
 def _seen(cfg: TaskCfg, groups: Iterable[str]) -> dict[str, Any]:

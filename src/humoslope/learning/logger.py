@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 
@@ -94,3 +95,16 @@ class ProgressLine:
             f"{values['Perf/steps_per_second']:,.0f}/s  {shown}  left {left}",
             highlight=False,
         )
+
+
+class Line(NamedTuple):
+    """What a line of `ProgressLine` tells: iterations that are done, and environment steps per second in the last."""
+
+    iteration: int
+    speed: float
+
+
+def read_line(text: str) -> Line | None:
+    """Reads a line of `ProgressLine`; None if it is another one."""
+    found = re.match(r"(\d+)/\d+  [\d.]+ M steps  ([\d,]+)/s  ", text)
+    return None if found is None else Line(int(found[1]), float(found[2].replace(",", "")))

@@ -111,6 +111,14 @@ def cnn(obs: TensorDict, groups: tuple[str, ...], num_actions: int, **settings: 
     return CNNModel(obs, {"actor": list(groups)}, "actor", num_actions, **settings)
 
 
+@network("gallant")
+def gallant(obs: TensorDict, groups: tuple[str, ...], num_actions: int, **settings: Any) -> torch.nn.Module:
+    """Gallant's network over vectors and, as the last group, voxel columns; `settings` are its own arguments."""
+    from humoslope.learning.gallant.network import GallantNetwork  # a subclass of what this module defines
+
+    return GallantNetwork(obs, {"actor": list(groups)}, "actor", num_actions, **settings)
+
+
 class Scale(torch.nn.Module):
     """Multiplies by a constant."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,12 @@ class PolicySpec:
             UserError: If the environment has no such group.
         """
         return cls(network, groups, shapes_of(env, groups), env.robot.num_joints, settings)
+
+    @property
+    def variant(self) -> str:
+        """What sets the network apart from others of its task, such as "reduced grid 16 x 16 x 20 of 10 cm"; results
+        are called by it."""
+        return str(self.settings.get("variant", ""))
 
     def build(self, device: torch.device | str) -> torch.nn.Module:
         """The network with fresh weights.
@@ -93,6 +99,7 @@ class Provenance:
         harness: Scale in [0, 1] that the training harness had come down to; None if the run had no harness.
         parent: The checkpoint that its training started from; None if it started from nothing.
         formerly: SHA-256 of the files it was converted from, under which older results and calibrations know it.
+        variant: What sets its network apart from others of its task (see `PolicySpec.variant`).
     """
 
     path: Path
@@ -103,6 +110,12 @@ class Provenance:
     harness: float | None
     parent: Provenance | None = None
     formerly: tuple[str, ...] = ()
+    variant: str = ""
+
+    @property
+    def name(self) -> str:
+        """The task, with the variant."""
+        return f"{self.task}, {self.variant}" if self.variant else self.task
 
     @property
     def training(self) -> str:
@@ -234,9 +247,8 @@ def spec_state(spec: PolicySpec) -> dict[str, Any]:
 
 def provenance_of(path: Path, state: Mapping[str, Any]) -> Provenance:
     """The origin of a checkpoint that was loaded from `path`."""
-    return _provenance(
-        {**state, "path": path, "sha256": checkpoint.digest(path), "curriculum": state["env"]["curriculum"]}
-    )
+    record = {"path": path, "sha256": checkpoint.digest(path), "curriculum": state["env"]["curriculum"]}
+    return replace(_provenance({**state, **record}), variant=spec_of(state).variant)
 
 
 def _provenance(record: Mapping[str, Any]) -> Provenance:

@@ -50,7 +50,11 @@ class PpoLearner(OnPolicyRunner):
                 f"({env.num_envs} envs x {cfg.num_steps_per_env} steps)."
             )
         obs = env.get_observations()
-        width = sum(obs[name][0].numel() for name in ("actor", "critic") if name in obs) + 4 * env.robot.num_joints
+        rsl_rl_cfg["actor"] |= (settings := cfg.network_settings(env))
+        rsl_rl_cfg["critic"] |= settings
+        actor_groups = tuple(rsl_rl_cfg["obs_groups"]["actor"])
+        read = {name for names in rsl_rl_cfg["obs_groups"].values() for name in names}
+        width = sum(obs[name][0].numel() for name in read if name in obs) + 4 * env.robot.num_joints
         if env.device.type == "cpu":
             rollout = 4 * cfg.num_steps_per_env * width
             batch = rollout * (2 if cfg.symmetry else 1) / cfg.num_mini_batches
@@ -67,7 +71,7 @@ class PpoLearner(OnPolicyRunner):
         with redirect_stdout(StringIO()):  # it prints the layers of both networks
             super().__init__(RslRlVecEnv(env), rsl_rl_cfg, None, str(env.device))
         network = {name: value for name, value in rsl_rl_cfg["actor"].items() if name != "class_name"}
-        self.spec = PolicySpec.of(env, "mlp", ("actor",), network)
+        self.spec = PolicySpec.of(env, cfg.network, actor_groups, network)
         self.policy = self.alg.get_policy()
         self.alg.train_mode()
 

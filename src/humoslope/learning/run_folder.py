@@ -119,6 +119,12 @@ def starts(run_dir: Path) -> list[Path]:
     return sorted(found, key=lambda path: int(path.name))
 
 
+def start_of(run_dir: Path) -> dict[str, Any] | None:
+    """What a run began with: its "task", and "from" which checkpoint, or None; None if the folder does not say."""
+    first = starts(run_dir)[:1]
+    return _read(first[0] / "start.json") if first else None
+
+
 def saved_options(run_dir: Path, total_steps: float = float("inf")) -> list[str]:
     """The options that held in a run when it had seen `total_steps` environment steps; none if the folder does not say.
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -36,6 +36,19 @@ RANK_SEED_STRIDE = 1_000_003
 """Distance in seed between the iterations at which the processes beyond the first one resume; a prime number."""
 
 
+class Onlooker(Protocol):
+    """Somebody who looks at a training and changes nothing in it: draws no random number, writes to no tensor."""
+
+    def after_step(self) -> None:
+        """Called after every control step."""
+
+    def after_iteration(self, iteration: int, values: dict[str, float]) -> None:
+        """Called after every iteration with its number and a point of every curve."""
+
+    def close(self, finished: bool) -> None:
+        """Called at the end of training, `finished` or stopped before."""
+
+
 class Trainer:
     """Trains a task; one iteration is a rollout of `num_steps_per_env` steps and an update of the learner.
 
@@ -47,6 +60,7 @@ class Trainer:
 
     Attributes:
         iteration: Number of iterations that are done.
+        onlookers: Who looks on. One that fails is dismissed, and training goes on.
         stopped_by: The signal that ended the last `train` early, 0 if none did.
         on_lost_folder: Called when the run folder was removed and made anew.
 
@@ -70,6 +84,7 @@ class Trainer:
         if self.learner.wants_terminal_obs:
             env.enable_terminal_observations()
         self.iteration, self.total_steps, self.total_time = 0, 0, 0.0
+        self.onlookers: list[Onlooker] = []
         self._parent: dict[str, Any] | None = None
         self._config = pack(cfg)
         self._last_saved: Path | None = None
@@ -110,6 +125,7 @@ class Trainer:
                     line.show(self.iteration - 1, values)
                     self._report_physics(values)
                     self._report_learner()
+                    self._show(lambda onlooker: onlooker.after_iteration(self.iteration - 1, values))  # noqa: B023
                     (stopping,) = any_process((interrupt.requested,), self.env.device)
                     if stopping or self._is_saved_now(last):
                         self._save(curves)
@@ -118,6 +134,7 @@ class Trainer:
             raise
         finally:
             curves.close()
+            self._show(lambda onlooker: onlooker.close(self.iteration == last))
         if self.iteration < last:
             self.stopped_by = interrupt.number or signal.SIGTERM  # or another process got the signal
             self._console.print(f"Stopped after iteration {self.iteration}; saved {self._last_saved}.")
@@ -209,6 +226,10 @@ class Trainer:
             UserError: If it cannot be used here.
         """
         state = checkpoint.load(path, self.task, self.env.device)
+        if not state["learner"]:
+            raise UserError(
+                f"checkpoint '{path}' holds the actor alone: a run can start from it with --init, not resume."
+            )
         self._load_policy(path, state)
         try:
             self.learner.load_state_dict(state["learner"])
@@ -253,7 +274,19 @@ class Trainer:
                 terminal = env.terminal_observations if learner.wants_terminal_obs else None
                 learner.take(Transition(obs, action, reward, terminated, time_outs, next_obs, terminal))
                 obs = next_obs
+                if self.onlookers:
+                    self._show(lambda onlooker: onlooker.after_step())
         return obs
+
+    def _show(self, look: Callable[[Onlooker], None]) -> None:
+        """Lets every onlooker look; what goes wrong there must not end a training."""
+        for onlooker in list(self.onlookers):
+            try:
+                look(onlooker)
+            except Exception as error:  # whatever a viewer, a file or a child process can do
+                self.onlookers.remove(onlooker)
+                what = f"{type(error).__name__}: {error}".splitlines()[0]
+                self._console.print(f"[yellow]{type(onlooker).__name__} is given up ({what}).[/yellow]", soft_wrap=True)
 
     def _resume_episodes(self, path: Path, state: dict[str, Any]) -> str:
         """Goes on with the episodes beside a checkpoint that was loaded; returns why that is impossible, or ""."""

@@ -63,6 +63,14 @@ class VelocityCommandCfg(StrictCfg):
     sideways: Annotated[tuple[float, float], Range(0.0, 10.0)] = (0.1, 0.4)
     turning: Annotated[tuple[float, float], Range(0.0, 20.0)] = (0.2, 0.8)
 
+    def build(self, env: Env) -> CommandManager:
+        """Creates the manager of these commands."""
+        return CommandManager(env, self)
+
+    def on_course(self, asked: VelocityCommandCfg) -> VelocityCommandCfg:
+        """The command of an evaluation that asks for a velocity, in the form that this task's policies understand."""
+        return asked
+
     def asks_for(self, mode: str) -> bool:
         """True if commands of this mode are drawn."""
         return self.modes.get(mode, 0.0) > 0.0 if self.modes else mode == "forward"

@@ -42,6 +42,18 @@ def any_noise(env: Env, frame: Tensor) -> Tensor:
     return torch.rand_like(frame)
 
 
+class FaultyTerm(StatefulTerm):
+    """Term with faults of its own beyond uniform noise, such as holes or a drawn delay.
+
+    Attributes:
+        noise_source: The group's source of random numbers (see `ObservationGroupCfg.noise_source`); None where noise is
+            disabled. A term that takes all its random numbers from there is the same in the same trial of an
+            evaluation; it asks for one shape only, and its own `noise` must be 0, since both would get the same ones.
+    """
+
+    noise_source: Callable[..., Tensor] | None = None
+
+
 @dataclass
 class ObservationGroupCfg(StrictCfg):
     """Terms observed together: vectors [N, d], concatenated, or exactly one term of any shape [N, C, ...].
@@ -126,6 +138,13 @@ class ObservationGroup:
         self.env, self.cfg, self.history = env, cfg, cfg.history
         self.stateful = StatefulTerms()
         self._calls = {n: self.stateful.keep(bind("observation", n, t, env)) for n, t in cfg.terms.items()}
+        for term, call in self._calls.items():
+            if not isinstance(call, FaultyTerm):
+                continue
+            if cfg.terms[term].noise:
+                raise UserError(f"observation '{name}.{term}' has faults of its own; its noise must be 0.")
+            call.noise_source = cfg.noise_source if cfg.enable_corruption else None
+        self._noisy = cfg.enable_corruption and any(term.noise for _, term in cfg.terms.items())
         self.term_shapes = {term: self._first_shape(f"{name}.{term}", call) for term, call in self._calls.items()}
         # The calls that found the shapes belong to no episode.
         self.stateful.reset(torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
@@ -192,7 +211,7 @@ class ObservationGroup:
     def _frame(self, calls: dict[str, Callable[..., Any]]) -> Tensor:
         """Present values of the terms, noisy and scaled, [N, D, ...]."""
         frame = torch.cat([call(self.env) for call in calls.values()], dim=1) * self._scale
-        if not self.cfg.enable_corruption:
+        if not self._noisy:
             return frame
         uniform = self.cfg.noise_source(self.env, frame)  # in [0, 1)
         return torch.addcmul(frame - self._noise, uniform, 2.0 * self._noise)

@@ -93,3 +93,9 @@ def measured_as(quantity: str) -> Callable[[F], F]:
         return func
 
     return declare
+
+
+def reads_bodies(func: F) -> F:
+    """Declares that a function or class of a term reads `env.bodies` (see `humoslope.scene.bodies`)."""
+    func.reads_bodies = True  # type: ignore[attr-defined]
+    return func

@@ -1,5 +1,5 @@
-"""Events of a recorded walk, derived from its columns: falls, pushes, contacts of the robot with itself, and changes of
-the ground."""
+"""Events of a recorded walk, derived from its columns: falls with their causes, pushes, contacts of the robot with
+itself, and changes of the ground."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from humoslope.evaluation.causes import SIGNALS, WINDOW_S, first_cause
 from humoslope.replay.rollout import Columns, Event
 from humoslope.scene.signals import CONTACT_FORCE
 
@@ -29,6 +30,25 @@ def falls(columns: Columns, last: bool) -> list[Event]:
     """
     rows = np.flatnonzero(np.diff(columns.episode)).tolist() + ([len(columns) - 1] if last else [])
     return [Event(float(columns.time[row]), "fall", "the robot falls") for row in rows]
+
+
+def causes(columns: Columns, fallen: Sequence[Event], moments: NDArray[np.floating], dt: float) -> list[Event]:
+    """Returns an event for the first cause of each fall, at the moment when it began.
+
+    Args:
+        columns: The walk.
+        fallen: Its falls.
+        moments: [T, S] what `evaluation.causes` judges by, a row for each row of the walk.
+        dt: Control step, s.
+    """
+    happened = []
+    for fall in fallen:
+        row = round(fall.time / dt) - 1
+        begin = max(int(np.searchsorted(columns.episode, columns.episode[row])), row + 1 - round(WINDOW_S / dt))
+        found = first_cause(dict(zip(SIGNALS, moments[begin : row + 1].T, strict=True)), dt)
+        text = f"first cause: {found.cause}{', ' if found.text else ''}{found.text}"
+        happened.append(Event(fall.time - found.before_s, "cause", text))
+    return happened
 
 
 def pushes(changes: Sequence[tuple[float, float, float]]) -> list[Event]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor
@@ -192,6 +193,7 @@ def _events(
 ) -> tuple[Event, ...]:
     """All events in the order of time. Ground events come from a course's segments, elsewhere from the fitted plane."""
     happened = events.falls(columns, recorder.fell)
+    happened += events.causes(columns, happened, np.stack(recorder.moments), env.step_dt)
     if course.is_course(protocol.terrain):
         track = course.find(protocol.terrain)
         names = [segment.name for segment in track.segments]

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from humoslope.evaluation.moments import MomentReader
 from humoslope.mdp.bsga import ComHeight
 from humoslope.mdp.zmp import ZmpRegulariser
 from humoslope.replay.rollout import Columns
@@ -50,16 +52,19 @@ class RolloutRecorder:
         fell: True if the robot fell in the last step.
         ended: True if the robot left its ground in the last step.
         pushes: Changes of the root's velocity that events made: (time in s, along world x and along world y in m/s).
+        moments: `SIGNALS` [S] of every step.
     """
 
     def __init__(self, env: Env, regulariser: dict[str, Any], com_height: dict[str, Any] | None = None) -> None:
         self._zmp = ZmpRegulariser(env, **regulariser)
         self._com_height = None if com_height is None else ComHeight(env, **com_height)
+        self._read_moment = MomentReader(env)
         self._qvel = env.sim.state("qvel")
         self._rows: list[dict[str, Tensor]] = []
         self._episode, self._dt = 0, env.step_dt
         self.ended = self.fell = False
         self.pushes: list[tuple[float, float, float]] = []
+        self.moments: list[NDArray[np.float32]] = []
         env.observers.append(self)
 
     def __call__(self, env: Env) -> None:
@@ -81,6 +86,7 @@ class RolloutRecorder:
             "zmp_valid": self._zmp.valid,
         }
         self._rows.append({name: value[0].cpu().clone() for name, value in row.items()})
+        self.moments.append(self._read_moment(env)[0].cpu().numpy())
         self._rows[-1]["episode"] = torch.tensor(self._episode, dtype=torch.int32)
         failed = env.terminations.terminated | env.diverged
         self.fell = bool(failed[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,18 +60,39 @@ class RobotShape:
         Raises:
             UserError: If a link is not connected to the root.
         """
-        columns = rollout.columns
-        joint_pos = dict(zip(rollout.joint_names, columns.joint_pos.T.astype(np.float64), strict=True))
-        w, x, y, z = columns.root_quat_w.T.astype(np.float64)
-        root = Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix()
-        poses = {rollout.header["robot"]["root"]: Poses(root, columns.root_pos_w.astype(np.float64))}
+        columns, root = rollout.columns, rollout.header["robot"]["root"]
+        return self.poses_of(root, rollout.joint_names, columns.root_pos_w, columns.root_quat_w, columns.joint_pos)
+
+    def poses_of(
+        self,
+        root: str,
+        joint_names: Sequence[str],
+        root_pos_w: NDArray[np.floating],
+        root_quat_w: NDArray[np.floating],
+        joint_pos: NDArray[np.floating],
+    ) -> dict[str, Poses]:
+        """Returns the pose of every link in T postures.
+
+        Args:
+            root: Name of the root link.
+            joint_names: Names of J joints.
+            root_pos_w, root_quat_w: [T, 3] m, [T, 4].
+            joint_pos: [T, J] rad.
+
+        Raises:
+            UserError: If a link is not connected to the root.
+        """
+        angles = dict(zip(joint_names, joint_pos.T.astype(np.float64), strict=True))
+        w, x, y, z = root_quat_w.T.astype(np.float64)
+        rotation = Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix()
+        poses = {root: Poses(rotation, root_pos_w.astype(np.float64))}
         joints = list(self._urdf.robot.joints)
         while joints:  # a URDF may list a joint before its parent's
             ready = [joint for joint in joints if joint.parent in poses]
             if not ready:
                 raise UserError(f"the URDF in this rollout does not connect '{joints[0].child}' to its root.")
             for joint in ready:
-                poses[joint.child] = _beyond(poses[joint.parent], joint, joint_pos.get(joint.name))
+                poses[joint.child] = _beyond(poses[joint.parent], joint, angles.get(joint.name))
             joints = [joint for joint in joints if joint not in ready]
         return poses
 

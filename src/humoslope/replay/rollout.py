@@ -21,7 +21,7 @@ header:
     reward_terms            names of the columns of `reward`
     terrain                 name, grade (degrees), cell, origin [x, y of heights[0, 0]], tile_origin, tile_length,
                             tile_width
-    events                  list of {time, kind, text}; kinds are fall, push, touch, ground, state and end
+    events                  list of {time, kind, text}; kinds are fall, cause, push, touch, ground, state and end
 """
 
 from __future__ import annotations

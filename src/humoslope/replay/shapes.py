@@ -69,25 +69,38 @@ def ground_shape(rollout: Rollout) -> Shape:
     nx, ny = heights.shape
     x = terrain["origin"][0] + cell * (first + np.arange(nx))
     y = terrain["origin"][1] + cell * (right + np.arange(ny))
-    grid_x, grid_y = np.meshgrid(x, y, indexing="ij")
-    slope_x, slope_y = np.gradient(heights, cell)
-    normals = np.stack([-slope_x, -slope_y, np.ones_like(heights)], axis=-1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    corner = (np.arange(nx - 1)[:, None] * ny + np.arange(ny - 1)).ravel()
-    far = corner + ny + 1
-    triangles = np.stack([corner, corner + ny, far, corner, far, corner + 1], axis=1).reshape(-1, 3)
-    top = Shape(
-        vertices=np.stack([grid_x, grid_y, heights], axis=-1).reshape(-1, 3).astype(np.float32),
-        normals=normals.reshape(-1, 3).astype(np.float32),
-        triangles=triangles.astype(np.int32),
-        # A vertex has the colour of the cell that begins there, so that cells can be drawn in one colour each.
-        colours=chequers(grid_x.ravel() + 0.5 * cell - start_x, grid_y.ravel() + 0.5 * cell - middle_y),
-    )
+    top = surface(x, y, heights, (start_x, middle_y))
     number = np.arange(nx * ny).reshape(nx, ny)
     right_edge, left_edge = number[:, 0], number[::-1, -1]
     front, back = number[-1, :], number[0, ::-1]
     walls = [(right_edge, (0, -1)), (front, (1, 0)), (left_edge, (0, 1)), (back, (-1, 0))]
     return joined([top, *(_wall(top.vertices[edge], normal) for edge, normal in walls)])
+
+
+def surface(
+    x: NDArray[np.floating], y: NDArray[np.floating], heights: NDArray[np.floating], corner: tuple[float, float]
+) -> Shape:
+    """Returns ground with these heights [nx, ny] over evenly spaced places x [nx] and y [ny], m.
+
+    Args:
+        corner: Place where a chequer begins, m.
+    """
+    nx, ny = heights.shape
+    cell = float(x[1] - x[0])
+    grid_x, grid_y = np.meshgrid(x, y, indexing="ij")
+    slope_x, slope_y = np.gradient(heights, cell)
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(heights)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    low = (np.arange(nx - 1)[:, None] * ny + np.arange(ny - 1)).ravel()
+    far = low + ny + 1
+    triangles = np.stack([low, low + ny, far, low, far, low + 1], axis=1).reshape(-1, 3)
+    return Shape(
+        vertices=np.stack([grid_x, grid_y, heights], axis=-1).reshape(-1, 3).astype(np.float32),
+        normals=normals.reshape(-1, 3).astype(np.float32),
+        triangles=triangles.astype(np.int32),
+        # A vertex has the colour of the cell that begins there, so that cells can be drawn in one colour each.
+        colours=chequers(grid_x.ravel() + 0.5 * cell - corner[0], grid_y.ravel() + 0.5 * cell - corner[1]),
+    )
 
 
 def _wall(edge: NDArray[np.float32], normal: tuple[int, int]) -> Shape:

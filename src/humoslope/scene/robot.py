@@ -56,8 +56,8 @@ class Robot:
     Attributes:
         name: Name in tables and messages.
         make_spec: Function that builds a fresh `MjSpec`: a free joint on `root_body`, one position actuator per joint
-            (same names and order as `joint_names`), a site at each sole, the sensors of
-            `humoslope.scene.sensors.add_robot_sensors`, and no ground.
+            (same names and order as `joint_names`), a site at each sole; no ground, and no sensors of those that
+            `humoslope.scene.sensors.add_robot_sensors` adds to it.
         urdf: Path of a URDF with the same links and joints and with visual shapes, for viewers.
         root_body: Name of the body with the free joint.
         torso_body: Name of the body that carries the upper body; the harness acts on it.

@@ -156,6 +156,11 @@ class Signals:
         return (self._body_force_w - self._shin_force_w.sum(dim=1)).norm(dim=1)
 
     @cached_property
+    def shin_force(self) -> Tensor:
+        """[N, 2] ground forces on the left and the right shin, N."""
+        return self._shin_force_w.norm(dim=2)
+
+    @cached_property
     def self_force(self) -> Tensor:
         """[N] largest force between two parts of the robot, N. Parts that the robot's model lets pass through each
         other have none."""

@@ -23,7 +23,8 @@ from humoslope.statistics import Average, Proportion
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / "experiments" / "results"
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "experiments" / "log.md"]
+PAGES = [path for path in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in path.parts]
+DOCUMENTS = [ROOT / "README.md", *PAGES, ROOT / "experiments" / "log.md"]
 STAGES = {"Stage I": "stage1", "Stage II": "stage2", "URL-TerrainRelative": "url"}
 GRADES = (0.0, 10.0, 20.0, 30.0)
 
@@ -132,6 +133,21 @@ def test_the_held_out_table_is_that_of_its_results_and_of_the_paper() -> None:
             assert f"{steps} M steps" in name
         assert cells == expected, name
     assert {"at the commanded speed", *STAGES, *(f"paper: {method}" for method in paper)} == set(seen)
+
+
+def test_the_short_table_of_the_readme_says_the_same() -> None:
+    rows = table("method", "0°", "10°", "20°", "30°", "steepest")
+    paper = {row.name: row for row in read_paper().main}
+    for name, *cells in rows:
+        if name.startswith("paper: "):
+            row = paper.pop(name.removeprefix("paper: "))
+            expected = [f"{row.grades[grade]['sr']:.1f}" for grade in GRADES] + [f"{row.max_grade:g}°"]
+        else:
+            shares = [100.0 * success(stage_of(name), grade).share for grade in GRADES]
+            expected = [f"{share:.1f}" for share in shares] + [f"{result(stage_of(name)).limit:g}°"]
+        assert cells == expected, name
+    assert not paper
+    assert {row[0] for row in rows} >= set(STAGES)
 
 
 def test_the_posture_table_is_that_of_its_results_and_of_the_paper() -> None:

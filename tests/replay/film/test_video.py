@@ -33,6 +33,21 @@ def test_a_video_has_a_picture_for_every_moment(rollout: Rollout, tmp_path: Path
     assert np.abs(first.astype(int) - drawn_anew).mean() < 6.0
 
 
+@pytest.mark.parametrize("ending", ["gif", "webp"])
+def test_a_web_page_gets_an_animated_picture(rollout: Rollout, tmp_path: Path, ending: str) -> None:
+    path, drawn = tmp_path / f"walk.{ending}", []
+    write_video(rollout, path, VideoCfg(start=1.0, seconds=0.5, fps=4.0, **SMALL), lambda: drawn.append(1))
+    with Image.open(path) as picture:
+        assert (picture.format, picture.size) == (ending.upper(), (160, 90))
+        assert (picture.n_frames, len(drawn)) == (2, 2)
+        picture.seek(1)
+        picture.load()
+        assert picture.info["duration"] == 250
+        assert picture.info["loop"] == 0
+        shown = np.asarray(picture.convert("RGB")).astype(int)
+    assert np.abs(shown - Frames(rollout, 160, 90)(62)).mean() < 12.0
+
+
 def test_two_processes_draw_what_one_does(rollout: Rollout, tmp_path: Path) -> None:
     for workers in (1, 2):
         cfg = VideoCfg(**SMALL | {"workers": workers})

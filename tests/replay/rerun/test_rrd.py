@@ -121,6 +121,24 @@ def test_events_are_at_their_moments(chunks: dict[str, list[Any]], rollout: Roll
     np.testing.assert_array_equal(steps, [round(event.time / 0.02) for event in rollout.events])
 
 
+@pytest.mark.parametrize("kind", ["fall", "cause"])
+def test_falls_and_their_causes_are_marked_where_and_while_they_happen(
+    chunks: dict[str, list[Any]], rollout: Rollout, kind: str
+) -> None:
+    wanted = [event for event in rollout.events if event.kind == kind]
+    assert wanted
+    steps, labels = column(chunks[f"/world/failure/{kind}"], "labels")
+    _, places = column(chunks[f"/world/failure/{kind}"], "positions")
+    assert [text for found in labels for text in found or []] == [event.text for event in wanted]
+    begun = [(step, place) for step, place in zip(steps, places, strict=True) if place]
+    assert len(begun) == len(wanted)
+    assert len(places) >= 2 * len(wanted) - 1  # each mark ends, but for one at the end
+    assert max(steps) <= len(rollout.columns)
+    for (step, (place,)), event in zip(begun, wanted, strict=True):
+        assert step == round(event.time / 0.02)
+        np.testing.assert_allclose(place[:2], rollout.columns.root_pos_w[step - 1, :2], atol=1e-5)
+
+
 def test_two_rollouts_stand_side_by_side_on_one_timeline(rollout: Rollout, tmp_path: Path) -> None:
     write_rrd([rollout, rollout], tmp_path / "both.rrd")
     found = read(tmp_path / "both.rrd")

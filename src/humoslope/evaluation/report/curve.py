@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 STEPS = "Perf/total_steps"
 ITERATION = "iteration"
 LINE = "#1f6f8b"
+CURVE = "curve.csv"
+"""Name of the table of curves in a run folder that is kept without its event files."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,9 @@ PANELS = (
     Panel("Reward/track_velocity", "speed tracking reward per second", low=0.0),
 )
 
+KEPT = (*(panel.tag for panel in PANELS), "Train/speed")
+"""Curves in a table, beside the steps."""
+
 Curve = dict[int, float]
 """Iteration -> value."""
 
@@ -56,7 +61,8 @@ def read_curves(run_dir: Path) -> dict[str, Curve]:
     """All scalars of a run by tag, iterations in order.
 
     A run that was resumed wrote several event files. An earlier file is read up to the first iteration of the next one:
-    its later iterations were done after the checkpoint that the run was resumed from.
+    its later iterations were done after the checkpoint that the run was resumed from. A folder without event files may
+    have its curves in a table.
 
     Raises:
         UserError: If the folder does not exist or holds no curves.
@@ -64,6 +70,8 @@ def read_curves(run_dir: Path) -> dict[str, Curve]:
     if not run_dir.is_dir():
         raise UserError(f"run folder '{run_dir}' does not exist.")
     parts = [part for path in run_dir.glob("events.out.tfevents.*") if (part := _read(path)) is not None]
+    if not parts and (run_dir / CURVE).is_file():
+        return read_table(run_dir / CURVE)
     if not parts:
         raise UserError(f"run folder '{run_dir}' holds no curves (events.out.tfevents.*).")
     merged: dict[str, Curve] = {}
@@ -97,11 +105,11 @@ def read_table(path: Path) -> dict[str, Curve]:
 
 
 def write_table(curves: Mapping[str, Curve], path: Path) -> None:
-    """Writes the curves that `draw` shows as CSV: a line for each iteration, to five digits.
+    """Writes the curves that `draw` and `compare` show as CSV: a line for each iteration, to five digits.
 
     Event files are large and stay with the run; this table is what is kept of them. Its checksum is put beside it.
     """
-    tags = [tag for tag in (STEPS, *(panel.tag for panel in PANELS)) if tag in curves]
+    tags = [tag for tag in (STEPS, *KEPT) if tag in curves]
     out = io.StringIO()
     table = csv.writer(out, lineterminator="\n")
     table.writerow([ITERATION, *tags])

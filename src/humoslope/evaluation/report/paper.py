@@ -32,7 +32,8 @@ class PaperRow:
 
     def matches(self, result: Result) -> bool:
         """True if one of our results is compared with this row, by its task or by the name it was given."""
-        return result.task in self.tasks if result.name == result.task else result.name == self.name
+        given = result.given_name
+        return result.task in self.tasks if given == result.task else given == self.name
 
 
 @dataclass(frozen=True)

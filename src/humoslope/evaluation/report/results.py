@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from humoslope.errors import UserError
+from humoslope.evaluation.causes import count
 from humoslope.evaluation.track.metrics import BIN, Figure
-from humoslope.evaluation.track.summary import Diagnosis, Outcomes, Summary, diagnose, profile, summarise
+from humoslope.evaluation.track.summary import (
+    Diagnosis,
+    Outcomes,
+    Summary,
+    diagnose,
+    profile,
+    summarise,
+    trial_values,
+)
 from humoslope.provenance import plain
 from humoslope.seal import read_json
-from humoslope.statistics import Average, Bools, Proportion
+from humoslope.statistics import Array, Average, Bools, Proportion
 from humoslope.terrain.course import Segment
 
 HELD_OUT, SWEEP = "held-out", "sweep"
 """Kinds of result files."""
+CAMPAIGN = "campaign.toml"
+"""Copy of its file that a campaign leaves in its folder."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +59,9 @@ class Grade:
         diagnosis: Posture and load by "up", "flat" and "down"; None where no trial came.
         profile: Values along the track by name, one for each bin of place; None where no trial came.
         reached: Number of trials that came at least to each multiple of the bin, from 0 on.
+        causes: Number of failed trials by their first cause; None in results of before causes were named.
+        trials: Values of single trials by the names of `EACH`, as numbers in a text; results of older versions have
+            none.
     """
 
     grade: float
@@ -54,6 +69,12 @@ class Grade:
     diagnosis: dict[str, Diagnosis | None]
     profile: dict[str, list[float | None]]
     reached: list[int]
+    causes: dict[str, int] | None = None
+    trials: dict[str, str] = field(default_factory=dict)
+
+    def each(self, name: str) -> Array | None:
+        """Values [T] of single trials, NaN where nothing was measured; None if the result does not hold them."""
+        return np.array(self.trials[name].split(), dtype=np.float64) if name in self.trials else None
 
 
 @dataclass(frozen=True)
@@ -118,6 +139,9 @@ class Result:
         limit: Steepest grade of the slope-limit sweep, degrees; None if there was no sweep, or no grade was mastered.
         swept: True if there was a sweep.
         beyond: True if the limit may lie above the steepest grade of the sweep.
+        checkpoints: SHA-256 of the checkpoints whose trials are pooled here, as far as the result says.
+        variant: What sets the trained network apart from others of its task, such as a reduced voxel grid; the name
+            ends with it.
     """
 
     name: str
@@ -131,6 +155,13 @@ class Result:
     limit: float | None = None
     swept: bool = False
     beyond: bool = False
+    checkpoints: tuple[str, ...] = ()
+    variant: str = ""
+
+    @property
+    def given_name(self) -> str:
+        """The name without the variant."""
+        return self.name.removesuffix(f", {self.variant}")
 
     @property
     def goal(self) -> float:
@@ -160,6 +191,7 @@ def to_report(
     segments: Sequence[Segment],
     speed: float,
     mass: float,
+    causes: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Finished trials as the JSON types that tables and figures are made from. Conditions without a trial are left out.
 
@@ -169,6 +201,7 @@ def to_report(
         segments: Segments of the track.
         speed: Commanded speed, m/s.
         mass: Mass of the robot, kg.
+        causes: First cause of each trial, "" for a success.
     """
     length = sum(segment.length for segment in segments)
     directions = [segment.direction for segment in segments]
@@ -189,6 +222,8 @@ def to_report(
                 diagnosis=diagnose(recorded, directions),
                 profile=profile(recorded),
                 reached=_reached(outcomes, there, length),
+                trials=_texts(trial_values(outcomes, there, mass, speed)),
+                causes=None if causes is None else count([causes[i] for i in np.flatnonzero(there).tolist()]),
             )
         )
         for t, tier in enumerate(tiers):
@@ -203,36 +238,97 @@ def to_report(
     return report
 
 
+def _texts(values: Mapping[str, Array]) -> dict[str, str]:
+    """Numbers to six digits; in lists each would have a line of its own in the file."""
+    return {name: " ".join(f"{value:.6g}" for value in of_trials) for name, of_trials in values.items()}
+
+
 def _reached(outcomes: Outcomes, which: Bools, length: float) -> list[int]:
     edges = np.arange(math.floor(length / BIN + 1e-9) + 1) * BIN
     # Places are in single precision: a goal that was reached must not be missed by rounding.
     return [int(n) for n in (outcomes.max_place[which][:, None] >= edges - 1e-4).sum(axis=0)]
 
 
+@dataclass(frozen=True)
+class Method:
+    """Results of one method from one or more trainings, which differ by their seed.
+
+    Attributes:
+        name: Name in tables.
+        runs: Result of each training.
+    """
+
+    name: str
+    runs: tuple[Result, ...]
+
+    @property
+    def partial(self) -> bool:
+        """True if trials of a training are missing."""
+        return any(run.partial for run in self.runs)
+
+
 def read_results(sources: Sequence[str]) -> list[Result]:
     """Results from files, one for each method; a method's sweep joins its trials on the track.
 
     Args:
-        sources: Files, NAME=FILE, or folders of files. Without a name a method is called by its task.
+        sources: Files, NAME=FILE, folders of files, or folders of campaigns. Without a name a method is called by its
+            task.
 
     Raises:
         UserError: If there are no results, one cannot be read, or two are of the same method.
     """
-    files = [part for source in sources for part in _files(source)]
-    results: dict[str, Result] = {}
-    for name, path in files:
-        new = _read(name, path)
-        old = results.get(new.name)
-        if old is None:
-            results[new.name] = new
-        elif old.swept == new.swept:
-            raise UserError(f"'{path}' is the second result of '{new.name}'; name them as NAME=FILE.")
-        else:
-            track, sweep = (old, new) if new.swept else (new, old)
-            results[new.name] = replace(track, limit=sweep.limit, swept=True, beyond=sweep.beyond)
-    if not results:
+    methods = _read_all(sources)
+    for found in methods.values():
+        kinds = [result.swept for _, result in found]
+        for i, (path, result) in enumerate(found):
+            if result.swept in kinds[:i]:
+                raise _second(path, result)
+    return [_joined(found) for found in methods.values()]
+
+
+def read_methods(sources: Sequence[str]) -> list[Method]:
+    """Results from files as `read_results` reads them, but with several results of one method from different trainings.
+
+    Raises:
+        UserError: If there are no results, one cannot be read, or two are of the same training.
+    """
+    methods = []
+    for name, found in _read_all(sources).items():
+        if len(found) == 2 and found[0][1].swept != found[1][1].swept:
+            methods.append(Method(name, (_joined(found),)))
+            continue
+        trainings: dict[tuple[str, ...], list[tuple[Path, Result]]] = {}
+        for path, result in found:
+            of_training = trainings.setdefault(result.checkpoints, [])
+            if any(other.swept == result.swept for _, other in of_training):
+                raise _second(path, result)
+            of_training.append((path, result))
+        methods.append(Method(name, tuple(_joined(of_training) for of_training in trainings.values())))
+    return methods
+
+
+def _read_all(sources: Sequence[str]) -> dict[str, list[tuple[Path, Result]]]:
+    """Files and results by the name of the method, in the order in which they were given."""
+    methods: dict[str, list[tuple[Path, Result]]] = {}
+    for name, path in [part for source in sources for part in _files(source)]:
+        result = _read(name, path)
+        methods.setdefault(result.name, []).append((path, result))
+    if not methods:
         raise UserError(f"there are no results in {', '.join(sources) or 'nothing'}; `humoslope evaluate` makes them.")
-    return list(results.values())
+    return methods
+
+
+def _joined(found: Sequence[tuple[Path, Result]]) -> Result:
+    """A result on the track with its sweep, if there are both."""
+    results = [result for _, result in found]
+    if len(results) == 1:
+        return results[0]
+    track, sweep = sorted(results, key=lambda result: result.swept)
+    return replace(track, limit=sweep.limit, swept=True, beyond=sweep.beyond)
+
+
+def _second(path: Path, result: Result) -> UserError:
+    return UserError(f"'{path}' is the second result of '{result.name}'; name them as NAME=FILE.")
 
 
 def _files(source: str) -> list[tuple[str, Path]]:
@@ -240,7 +336,48 @@ def _files(source: str) -> list[tuple[str, Path]]:
     if not equals or Path(source).exists():
         name, path = "", source
     where = Path(path)
-    return [(name, file) for file in sorted(where.glob("*.json"))] if where.is_dir() else [(name, where)]
+    if not where.is_dir():
+        return [(name, where)]
+    here = [(name, file) for file in sorted(where.glob("*.json"))]
+    return here or [(name or own, file) for own, file in _campaign_files(where)]
+
+
+def _campaign_files(folder: Path) -> list[tuple[str, Path]]:
+    """Results in the run folders of a campaign, FOLDER/ROW/seedN.
+
+    Rows are called by their tasks if these are different, else by their own names.
+    """
+    found: list[Path] = []
+    tasks: dict[str, str] = {}
+    for path in folder.glob("*/seed*/*.json"):
+        try:
+            report = read_json(path)
+            if report["what"] in (HELD_OUT, SWEEP):
+                tasks[path.parent.parent.name] = report["checkpoints"][0]["task"]
+                found.append(path)
+        except (OSError, ValueError, KeyError, TypeError, IndexError):
+            continue  # a calibration, or a file that the campaign makes anew
+    by_task = len(set(tasks.values())) == len(tasks)
+    ordered = by_row(folder, found, lambda path: path.parent)
+    return [("" if by_task else path.parent.parent.name, path) for path in ordered]
+
+
+def by_row(folder: Path, paths: Sequence[Path], run_folder: Callable[[Path], Path]) -> list[Path]:
+    """Files of a campaign's folder in the order of the rows in its file, and of the seeds.
+
+    Args:
+        run_folder: The run folder of each, ROW/seedN.
+    """
+    try:
+        order = list(tomllib.loads((folder / CAMPAIGN).read_text(encoding="utf-8"))["train"])
+    except (OSError, ValueError, KeyError, TypeError):
+        order = []
+
+    def place(path: Path) -> tuple[int, str, int, str, str]:
+        row, seed = run_folder(path).parent.name, run_folder(path).name
+        return order.index(row) if row in order else len(order), row, len(seed), seed, path.name
+
+    return sorted(paths, key=place)
 
 
 def _read(name: str, path: Path) -> Result:
@@ -263,20 +400,23 @@ def from_report(report: Mapping[str, Any], name: str = "") -> Result:
     """The result in a report of `humoslope evaluate`.
 
     Args:
-        name: Name of the method; by default its task.
+        name: Name of the method; by default its task. A variant is named in any case.
 
     Raises:
         KeyError, TypeError, IndexError: If it is something else.
     """
     checkpoints = report["checkpoints"]
-    task = checkpoints[0]["task"]
+    task, variant = checkpoints[0]["task"], checkpoints[0].get("variant", "")
+    called = name or task
     result = Result(
-        name=name or task,
+        name=f"{called}, {variant}" if variant else called,
         task=task,
+        variant=variant,
         training=tuple(_training(c) for c in checkpoints),
         finished=report["finished"],
         trials=report["trials"],
         cells=tuple(Cell(c["grade"], c["tier"], _summary(c["summary"])) for c in report["cells"]),
+        checkpoints=tuple(c["sha256"] for c in checkpoints if "sha256" in c),
     )
     if report["what"] == SWEEP:
         limit = report["slope_limit"] or {"grade": None, "beyond": False}  # a partial sweep has none yet
@@ -304,6 +444,10 @@ def _believable(result: Result) -> Result:
     """
     if not isinstance(result.finished, int) or not isinstance(result.trials, int) or result.finished > result.trials:
         raise ValueError("finished")
+    for grade in result.grades:
+        counts = {} if grade.causes is None else grade.causes
+        if not all(isinstance(n, int) and n >= 0 for n in counts.values()):
+            raise ValueError("causes")
     for summary in [g.summary for g in result.grades] + [c.summary for c in result.cells]:
         for figure in summary.values():
             numbers = vars(figure).values() if isinstance(figure, Proportion | Average) else (figure,)
@@ -325,7 +469,12 @@ def _training(checkpoint: Mapping[str, Any]) -> Training:
 
 def _grade(report: Mapping[str, Any]) -> Grade:
     diagnosis = {name: None if d is None else Diagnosis(**d) for name, d in report["diagnosis"].items()}
-    return Grade(report["grade"], _summary(report["summary"]), diagnosis, report["profile"], report["reached"])
+    summary, trials, causes = _summary(report["summary"]), report.get("trials", {}), report.get("causes")
+    grade = Grade(report["grade"], summary, diagnosis, report["profile"], report["reached"], causes, trials)
+    totals = {figure.total for figure in summary.values() if isinstance(figure, Proportion)}
+    if not all(len(grade.each(name)) in totals for name in trials):  # type: ignore[arg-type]
+        raise ValueError("trials")
+    return grade
 
 
 def _summary(report: Mapping[str, Any]) -> Summary:

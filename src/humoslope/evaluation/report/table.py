@@ -11,10 +11,11 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from humoslope.evaluation.report.seeds import Estimate
 from humoslope.seal import sealed_json
 from humoslope.statistics import Average, Proportion
 
-Value = float | Proportion | Average | str | None
+Value = float | Proportion | Average | Estimate | str | None
 
 STYLES = {"ours": "", "paper": "dim italic", "reference": "italic"}
 """Style of a row on the screen by its source."""
@@ -29,7 +30,8 @@ class Column:
         unit: Unit of its figures; "" if they have none.
         digits: Number of decimals.
         group: Heading over several columns, such as a grade, that tells columns of one label apart.
-        interval: True if our figures have bounds, i.e. are proportions or averages.
+        interval: True if our figures have bounds, i.e. are proportions, averages or estimates.
+        signed: Show the sign of positive figures, too, as of differences.
     """
 
     label: str
@@ -37,6 +39,7 @@ class Column:
     digits: int = 2
     group: str = ""
     interval: bool = False
+    signed: bool = False
 
     @property
     def title(self) -> str:
@@ -147,6 +150,17 @@ class Sheet:
             lines.append(_markdown_row([f"*{cell}*" if row.source != "ours" and cell else cell for cell in shown]))
         return "\n".join([*lines, "", *(f"{note}  " for note in self.notes)]).rstrip() + "\n"
 
+    def texts(self) -> list[list[str]]:
+        """The cells of every row as text: name, how it was trained, and a figure for each column."""
+        return [
+            [
+                row.title,
+                row.note,
+                *(_lines(v, c).replace("\n", " ") for v, c in zip(row.values, self.columns, strict=True)),
+            ]
+            for row in self.rows
+        ]
+
     def to_csv(self) -> str:
         """The table as CSV: full precision with bounds, empty where there is no figure, proportions in percent."""
         out = io.StringIO()
@@ -190,6 +204,11 @@ def _lines(value: Value, column: Column) -> str:
     if isinstance(value, Average):
         margin = "" if value.high is None else f"\n±{value.high - value.mean:.{column.digits + 1}f}"
         return f"{value.mean:.{column.digits}f}{margin}"
+    if isinstance(value, Estimate):
+        sign = "+" if column.signed else ""
+        figures = [value.value] if value.low is None or value.high is None else [value.value, value.low, value.high]
+        shown = [f"{figure:{sign}.{column.digits}f}" for figure in figures]
+        return shown[0] + (f"\n{shown[1]} to {shown[2]}" if len(shown) > 1 else "")
     return f"{value:.{column.digits}f}"
 
 
@@ -206,6 +225,8 @@ def _fields(value: Value, column: Column) -> dict[str, float | str | None]:
         middle, low, high = 100.0 * value.share, 100.0 * value.low, 100.0 * value.high
     elif isinstance(value, Average):
         middle, low, high = value.mean, value.low, value.high
+    elif isinstance(value, Estimate):
+        middle, low, high = value.value, value.low, value.high
     else:
         middle = value
     bounds = {f"{column.title} low": low, f"{column.title} high": high} if column.interval else {}

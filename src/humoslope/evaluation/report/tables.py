@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from humoslope.evaluation.causes import CAUSES, MEANING
 from humoslope.evaluation.report.paper import Paper, PaperRow
-from humoslope.evaluation.report.results import Grade, Result, TrialSetup
+from humoslope.evaluation.report.results import Grade, Result, Training, TrialSetup
 from humoslope.evaluation.report.table import Column, Row, Sheet, Value
 from humoslope.evaluation.track.metrics import GROUPS, REPORTED
 from humoslope.evaluation.track.summary import DIRECTIONS, Summary
+from humoslope.statistics import Proportion
 
 GRADES = (0.0, 10.0, 20.0, 30.0)
 """Degrees; the paper's four nominal grades, shown if there are no results."""
@@ -41,7 +43,7 @@ def _ours(summary: Summary | None, names: Sequence[str]) -> list[Value]:
     return [None if summary is None else summary.get(name) for name in names]
 
 
-def _theirs(row: PaperRow, grade: float, names: Sequence[str]) -> list[Value]:
+def their_figures(row: PaperRow, grade: float, names: Sequence[str]) -> list[Value]:
     """The paper's figures of these metrics at a grade."""
     figures = row.grades.get(grade, {})
     return [figures.get(REPORTED[name].paper) for name in names]
@@ -62,7 +64,7 @@ def main_table(results: Sequence[Result], paper: Paper) -> Sheet:
         return [figure for grade in grades for figure in _ours(_summary(result.at(grade)), names)] + [result.limit]
 
     def theirs(row: PaperRow) -> list[Value]:
-        return [figure for grade in grades for figure in _theirs(row, grade, names)] + [row.max_grade]
+        return [figure for grade in grades for figure in their_figures(row, grade, names)] + [row.max_grade]
 
     notes = [
         SR_NOTE,
@@ -78,7 +80,7 @@ def main_table(results: Sequence[Result], paper: Paper) -> Sheet:
         title="Held-out slope tracks (paper, table 1)",
         columns=(*columns, Column("max grade", "°", 0)),
         rows=(*(_at_speed(setup, grades, names, after=1) for setup in _setups(results)), *rows),
-        notes=(*notes, PAPER_NOTE, *_partial_note(results)),
+        notes=(*notes, PAPER_NOTE, *partial_note(results)),
     )
 
 
@@ -120,7 +122,7 @@ def ablation_table(results: Sequence[Result], paper: Paper, grade: float = 20.0)
         return _ours(_summary(result.at(grade)), names)
 
     def theirs(row: PaperRow) -> list[Value]:
-        return _theirs(row, grade, names)
+        return their_figures(row, grade, names)
 
     return Sheet(
         title=f"Variants at {grade:g}° (paper, table 2)",
@@ -134,7 +136,7 @@ def ablation_table(results: Sequence[Result], paper: Paper, grade: float = 20.0)
             "CoT: sum of |torque x velocity| over weight and forward way, all trials. τ_knee: mean of trials' peaks.",
             "h_com: above the ground below the centre of mass. error: of a trial's mean speed from the commanded one.",
             PAPER_NOTE,
-            *_partial_note(results),
+            *partial_note(results),
         ),
     )
 
@@ -174,7 +176,36 @@ def diagnostics_table(results: Sequence[Result], grade: float = 20.0) -> Sheet:
         notes=(
             "Pitch joints of both legs, all friction tiers, all trials. torque: mean |torque| of one joint.",
             "work +, -: share of each in the positive and in the negative work of the three.",
-            *_partial_note(results),
+            *partial_note(results),
+        ),
+    )
+
+
+def causes_table(results: Sequence[Result]) -> Sheet:
+    """The failed trials at each grade by the first thing that went wrong."""
+    shown = [g.causes for result in results for g in result.grades if g.causes is not None]
+    names = [name for name in CAUSES if any(name in causes for causes in shown)]
+    rows = []
+    for result in results:
+        for i, at in enumerate(result.grades):
+            rate = at.summary["success"]
+            assert isinstance(rate, Proportion)
+            counts = [None if at.causes is None else at.causes.get(name, 0) for name in names]
+            values = (at.grade, rate.total, rate.total - rate.count, *counts)
+            rows.append(Row(result.name, _training(result), values, partial=_partial(result), more=i > 0))
+    return Sheet(
+        title="Why trials failed: the first cause, by grade",
+        columns=(
+            Column("grade", "°", 0),
+            Column("trials", digits=0),
+            Column("failed", digits=0),
+            *(Column(name, digits=0) for name in names),
+        ),
+        rows=tuple(rows),
+        notes=(
+            *(f"{name}: {MEANING[name]}." for name in names),
+            *(["-: the trials were evaluated before causes were named."] if len(shown) < len(rows) else []),
+            *partial_note(results),
         ),
     )
 
@@ -195,7 +226,7 @@ def cells_table(results: Sequence[Result]) -> Sheet:
         notes=(
             MEAN_NOTE,
             "CoT +: of positive work alone. τ_knee: mean of the trials' peaks.",
-            *_partial_note(results),
+            *partial_note(results),
         ),
     )
 
@@ -222,11 +253,19 @@ def _beside(
 
 
 def _training(result: Result) -> str:
-    """Budget and harness, such as "38 + 23 M steps, harness" for a second stage; of several checkpoints, the range."""
-    totals = sorted(result.training, key=lambda training: sum(training.steps))
+    return training_of([result.training])
+
+
+def training_of(trainings: Sequence[tuple[Training, ...]]) -> str:
+    """Budget and harness, such as "38 + 23 M steps, harness" for a second stage; of several checkpoints, the range.
+
+    Args:
+        trainings: Training of the checkpoints of each result.
+    """
+    totals = sorted((t for of_result in trainings for t in of_result), key=lambda training: sum(training.steps))
     budgets = [" + ".join(f"{steps / 1e6:.3g}" for steps in training.steps) for training in totals]
     words = [f"{budgets[0]} M steps" if budgets[0] == budgets[-1] else f"{budgets[0]} to {budgets[-1]} M steps"]
-    if len(totals) > 1:
+    if any(len(of_result) > 1 for of_result in trainings):
         words.append(f"{len(totals)} checkpoints")
     left = max((t.harness for t in totals if t.harness is not None), default=None)
     words.append("no harness" if left is None else f"harness, {left:.0%} left" if left else "harness")
@@ -237,6 +276,7 @@ def _partial(result: Result) -> str:
     return f"{result.finished} of {result.trials} trials" if result.partial else ""
 
 
-def _partial_note(results: Sequence[Result]) -> list[str]:
+def partial_note(results: Sequence[Result]) -> list[str]:
+    """A remark if trials of one of the results are missing."""
     said = "partial: trials are missing. Failures end sooner than successes, so the rates are too low."
     return [said] if any(result.partial for result in results) else []

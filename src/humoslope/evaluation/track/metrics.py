@@ -266,6 +266,24 @@ RECORDED = tuple(metric for metric in METRICS if metric.sample is not None)
 REPORTED = {metric.name: metric for metric in METRICS if metric.reduce is not None}
 """Metrics that results and tables show, by name."""
 
+EACH: dict[str, Callable[[TrialSet], Array]] = {
+    "success": lambda t: t.success.astype(np.float64),
+    "max_distance": lambda t: t.max_place,
+    "traversal_s": lambda t: np.where(t.success, t.seconds, np.nan),
+    "speed": lambda t: t.recorded("speed"),
+    "speed_error": lambda t: np.abs(t.recorded("speed") - t.commanded),
+    "yaw_rate_variance": lambda t: t.recorded("yaw_rate_variance"),
+    "com_height": lambda t: t.recorded("com_height"),
+    "root_height": lambda t: t.recorded("root_height"),
+    "knee_peak": lambda t: t.recorded("knee_peak"),
+    "self_contact": lambda t: t.recorded("self_contact"),
+    # Cost of transport is the quotient of the sums of these two.
+    "weight_work": lambda t: t.recorded("work") / (t.mass * GRAVITY),
+    "distance": lambda t: t.metrics.distance,
+}
+"""Values of single trials [T] that results keep, NaN where nothing was measured: what an interval over seeds and trials
+is made from. Their means, or quotients of sums, are the figures of the same names."""
+
 PROFILE: dict[str, Callable[[StepSample], Tensor]] = {
     "hip_torque": lambda s: s.group_torque[:, 0],
     "knee_flexion": lambda s: s.knee_flexion,

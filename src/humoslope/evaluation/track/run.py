@@ -18,7 +18,7 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.report.paper import read_paper
 from humoslope.evaluation.report.results import from_report, to_report
-from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
+from humoslope.evaluation.report.tables import ablation_table, causes_table, cells_table, diagnostics_table, main_table
 from humoslope.evaluation.track import store
 from humoslope.evaluation.track.arrays import map_arrays
 from humoslope.evaluation.track.progress import Progress, cell_table, view
@@ -132,7 +132,7 @@ class _Evaluation:
             store.save(self._path, self.saved, self._fingerprint, protocol)
 
         progress = Progress(scheduler.progress(), self.env.step_dt)
-        title = f"{self.source.task}, iteration {self.source.iteration}"
+        title = f"{self.source.name}, iteration {self.source.iteration}"
 
         def picture() -> Any:
             return view(scheduler.trials(), protocol, title, progress.line(scheduler.progress()))
@@ -163,7 +163,7 @@ class _Evaluation:
         env, sim, protocol = self.env, self.env.cfg.sim, self.protocol
         done = int(self.saved.trials.finished.sum())
         lines = [
-            f"[bold]{self.source.task}[/bold], iteration {self.source.iteration}, "
+            f"[bold]{self.source.name}[/bold], iteration {self.source.iteration}, "
             f"{self.source.total_steps / 1e6:.2f} M steps; {self.source.path}",
             f"{protocol.trials} trials in each of {protocol.num_cells} cells, {env.num_envs} envs; physics "
             f"'{env.sim.backend}' on {env.device}, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone",
@@ -192,7 +192,8 @@ def _conclude(console: Console, evaluations: list[_Evaluation], plan: Plan, chec
     sheets = [cells_table(results)]
     if not plan.sweep:
         paper = read_paper()
-        sheets = [main_table(results, paper), ablation_table(results, paper), diagnostics_table(results), *sheets]
+        tables = (main_table(results, paper), ablation_table(results, paper), diagnostics_table(results))
+        sheets = [*tables, causes_table(results), *sheets]
     texts = {
         ".csv": sheets[-1].to_csv(),
         ".md": "\n".join(sheet.to_markdown() for sheet in sheets),
@@ -216,6 +217,8 @@ def _conclude(console: Console, evaluations: list[_Evaluation], plan: Plan, chec
             console.print(f"[yellow]physics: {warning}[/yellow]")
     if not plan.sweep:
         sheets[0].show()
+        if finished > int(trials.success.sum()):
+            causes_table(results).show()
     for end in (".json", *texts):
         console.print(f"wrote {_beside(out, end)}", soft_wrap=True)
 
@@ -236,6 +239,7 @@ def _say(limit: SlopeLimit, protocol: HeldOutProtocol) -> str:
 
 def _report(evaluations: list[_Evaluation], trials: HeldOutTrials, plan: Plan) -> dict[str, Any]:
     env = evaluations[0].env
+    finished = trials[trials.finished]
     return {
         "what": "sweep" if plan.sweep else "held-out",
         "version": humoslope.__version__,
@@ -248,12 +252,13 @@ def _report(evaluations: list[_Evaluation], trials: HeldOutTrials, plan: Plan) -
         "finished": int(trials.finished.sum()),
         "successes": int(trials.success.sum()),
         **to_report(
-            trials[trials.finished],
+            finished,
             grades=plan.protocol.grades,
             tiers=plan.protocol.tiers,
             segments=plan.protocol.find_course().segments,
             speed=plan.protocol.speed,
             mass=env.robot.total_mass,
+            causes=finished.causes(env.step_dt),
         ),
     }
 

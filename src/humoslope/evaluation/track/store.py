@@ -79,7 +79,9 @@ def save(path: Path, saved: SavedTrials, fingerprint: str, protocol: HeldOutProt
     if before is not None and len(before.trials) > len(trials):
         larger = replace(protocol, trials=len(before.trials) // protocol.num_cells)
         padded = map_arrays(partial(_resize, protocol=larger), trials)
-        trials = map_arrays(partial(where_arrays, padded.finished), padded, before.trials)
+        steps = next((values.shape[1] for values in trials.moments.values()), 0)
+        old = before.trials.with_moments(steps)
+        trials = map_arrays(partial(where_arrays, padded.finished), padded.with_moments(steps), old)
     about = {"fingerprint": fingerprint, "wall_clock_s": saved.wall_clock_s, "code": saved.code}
     arrays: dict[str, Any] = {name: np.array(value) for name, value in about.items()} | to_arrays(trials)
     write_arrays(path, arrays)
@@ -102,7 +104,7 @@ def _read(path: Path, fingerprint: str) -> SavedTrials | None:
         if str(arrays.pop("fingerprint")) != fingerprint:
             return None
         wall_clock_s, code = float(arrays.pop("wall_clock_s")), tuple(arrays.pop("code").tolist())
-        trials = from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials, "values": dict})
+        trials = from_arrays(HeldOutTrials, arrays, {"metrics": TrackTrials, "values": dict, "moments": dict})
         return SavedTrials(trials, wall_clock_s, code)
     except FileNotFoundError:
         return None

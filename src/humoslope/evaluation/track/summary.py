@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from humoslope.evaluation.track.metrics import GROUPS, PROFILE, REPORTED, Figure, TrialSet
+from humoslope.evaluation.track.metrics import EACH, GROUPS, PROFILE, REPORTED, Figure, TrialSet
 from humoslope.evaluation.track.recorder import TrackTrials
 from humoslope.statistics import Array, Bools
 
@@ -64,7 +64,19 @@ def summarise(outcomes: Outcomes, which: Bools, mass: float, commanded: float) -
     Raises:
         UserError: If there is no trial.
     """
-    trials = TrialSet(
+    trials = trial_set(outcomes, which, mass, commanded)
+    return {name: metric.reduce(trials) for name, metric in REPORTED.items() if metric.reduce is not None}
+
+
+def trial_values(outcomes: Outcomes, which: Bools, mass: float, commanded: float) -> dict[str, Array]:
+    """Values [T] of single trials by the names of `EACH`; arguments as of `summarise`."""
+    trials = trial_set(outcomes, which, mass, commanded)
+    return {name: each(trials) for name, each in EACH.items()}
+
+
+def trial_set(outcomes: Outcomes, which: Bools, mass: float, commanded: float) -> TrialSet:
+    """The trials in `which`; arguments as of `summarise`."""
+    return TrialSet(
         metrics=outcomes.metrics[which],
         success=outcomes.success[which],
         fell=outcomes.fell[which],
@@ -75,7 +87,6 @@ def summarise(outcomes: Outcomes, which: Bools, mass: float, commanded: float) -
         mass=mass,
         commanded=commanded,
     )
-    return {name: metric.reduce(trials) for name, metric in REPORTED.items() if metric.reduce is not None}
 
 
 @dataclass(frozen=True)

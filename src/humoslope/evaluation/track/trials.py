@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -23,7 +23,9 @@ from torch import Tensor
 
 from humoslope.cpu import on_one_thread
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
+from humoslope.evaluation.causes import first_causes
 from humoslope.evaluation.common import measuring_physics, policy_observations, to_host
+from humoslope.evaluation.moments import LastMoments, MomentReader, MomentTable, complete
 from humoslope.evaluation.track import random
 from humoslope.evaluation.track.arrays import map_arrays, where_arrays
 from humoslope.evaluation.track.protocol import HeldOutProtocol
@@ -49,6 +51,7 @@ class HeldOutTrials:
         seconds: [T] duration, s.
         max_place: [T] furthest place of the root, m from the start of the course.
         grade_index, tier_index: [T] int64 indices into the protocol's grades and tiers.
+        moments: Last moments of the trials that fell, NaN for all others; empty if they were not kept.
     """
 
     metrics: TrackTrials
@@ -60,6 +63,7 @@ class HeldOutTrials:
     max_place: Array
     grade_index: NDArray[np.int64]
     tier_index: NDArray[np.int64]
+    moments: LastMoments = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.success)
@@ -71,6 +75,18 @@ class HeldOutTrials:
     def finished(self) -> Bools:
         """[T] bool; trials that have ended."""
         return self.success | self.fell | self.left | self.timed_out
+
+    def with_moments(self, steps: int) -> HeldOutTrials:
+        """The trials with last moments of so many steps; NaN for those of an older file, which lacks them."""
+        return dataclasses.replace(self, moments=complete(self.moments, len(self), steps))
+
+    def causes(self, dt: float) -> list[str]:
+        """The first cause of each failed trial, "" for the others; see `causes`.
+
+        Args:
+            dt: Control step, s.
+        """
+        return first_causes(self.moments, dt, fell=self.fell, left=self.left, timed_out=self.timed_out)
 
 
 class TrialScheduler:
@@ -136,6 +152,8 @@ class TrialScheduler:
             length=self.course.length,
             device=device,
         )
+        self._read_moment = MomentReader(env)
+        self._moments = MomentTable(total, env.step_dt, device)
 
     def start(self, env: ManagerBasedRlEnv, mask: Tensor) -> None:
         """Reset event: the envs in `mask` take their next trial, and its start."""
@@ -179,6 +197,7 @@ class TrialScheduler:
         valid = self.running & ~env.diverged
         sample = StepSample.read(env, self._recorder.legs, place, self.course.segment_at(place))
         self._recorder.add(self.trial, sample, valid)
+        self._moments.add(self.trial, self._read_moment(env), valid)
         self._furthest = torch.where(valid, torch.maximum(self._furthest, place), self._furthest)
         row = torch.where(self._verdict.any(dim=1), self.trial, self._idle)
         self._outcome[row] = self._verdict
@@ -197,10 +216,12 @@ class TrialScheduler:
             max_place=to_host(self._places[:total]),
             grade_index=cell // len(protocol.tiers),
             tier_index=cell % len(protocol.tiers),
+            moments=self._moments.moments(outcome["fell"]),
         )
         if self.earlier is None:
             return new
-        return map_arrays(partial(where_arrays, self.earlier.finished), self.earlier, new)
+        earlier = self.earlier.with_moments(self._moments.length)
+        return map_arrays(partial(where_arrays, earlier.finished), earlier, new)
 
     def progress(self) -> float:
         """Share of all trials that is done, in [0, 1]; a running trial counts by its place. Waits for the device."""
@@ -229,7 +250,8 @@ class TrialScheduler:
 def held_out_env_cfg(task_env: EnvCfg, scheduler: TrialScheduler, groups: Sequence[str] = ("actor",)) -> EnvCfg:
     """A task's environment reduced to its robot, its actions and the observations of the policy, on the course.
 
-    Nothing else of the task is kept: not its rewards, terminations, commands, events or curriculum.
+    Nothing else of the task is kept: not its rewards, terminations, events or curriculum, and of its command only the
+    form (`VelocityCommandCfg.on_course`).
 
     Args:
         groups: Observation groups that the policy reads.
@@ -249,14 +271,16 @@ def held_out_env_cfg(task_env: EnvCfg, scheduler: TrialScheduler, groups: Sequen
         episode_length_s=protocol.timeout_s,
         seed=protocol.seed,
         actions=task_env.actions,
-        command=VelocityCommandCfg(
-            speed=(protocol.speed,) * 2,
-            lateral=(0.0, 0.0),
-            heading_share=1.0,
-            heading_gain=protocol.heading_gain,
-            lateral_gain=protocol.lateral_gain,
-            yaw_rate_limit=protocol.yaw_rate_limit,
-            standing_share=0.0,
+        command=task_env.command.on_course(
+            VelocityCommandCfg(
+                speed=(protocol.speed,) * 2,
+                lateral=(0.0, 0.0),
+                heading_share=1.0,
+                heading_gain=protocol.heading_gain,
+                lateral_gain=protocol.lateral_gain,
+                yaw_rate_limit=protocol.yaw_rate_limit,
+                standing_share=0.0,
+            )
         ),
         observations=observations,
         terminations=Terms(trial=TerminationTermCfg(scheduler.judge)),

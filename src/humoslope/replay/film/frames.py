@@ -74,7 +74,7 @@ class Frames:
         recent = [event for event in self._rollout.events if 0.0 <= time - event.time < EVENT_S]
         for line, event in enumerate(recent):
             place = (margin, below + (line + 1) * round(0.05 * self._height))
-            fill = ALARM if event.kind in ("fall", "push") else FAINT
+            fill = ALARM if event.kind in ("fall", "cause", "push") else FAINT
             draw.text(place, event.text, font=self._small, fill=fill)
         return np.asarray(image)
 

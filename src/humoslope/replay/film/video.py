@@ -1,14 +1,14 @@
-"""Rendering of a rollout to an mp4 and a contact sheet, without a display, a GPU or a graphics driver."""
+"""Rendering of a rollout to a video and a contact sheet, without a display, a GPU or a graphics driver."""
 
 from __future__ import annotations
 
 import contextlib
 import multiprocessing
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import imageio_ffmpeg
 import numpy as np
@@ -29,6 +29,10 @@ GAP = 6
 """White space between the pictures of a contact sheet, pixels."""
 QUALITY = ["-crf", "20", "-movflags", "+faststart"]
 """Options for x264: hardly visible losses; playback can start before the whole file is loaded."""
+ANIMATIONS: dict[str, dict[str, Any]] = {".gif": {}, ".webp": {"quality": 60, "method": 6}}
+"""Endings of animated pictures, which web pages show in place, and what Pillow is told for each."""
+ENDINGS = (".mp4", *ANIMATIONS)
+"""Endings of the files that `write_video` writes."""
 
 
 @dataclass(frozen=True)
@@ -76,11 +80,11 @@ class VideoCfg(Checked):
 
 
 def write_video(rollout: Rollout, path: Path, cfg: VideoCfg, on_frame: Callable[[], None] = lambda: None) -> None:
-    """Writes an mp4.
+    """Writes an mp4, or an animated picture.
 
     Args:
         rollout: The rollout.
-        path: The file.
+        path: The file; its ending, one of `ENDINGS`, decides its format.
         cfg: Time span, size and speed.
         on_frame: Called after every picture.
 
@@ -89,7 +93,8 @@ def write_video(rollout: Rollout, path: Path, cfg: VideoCfg, on_frame: Callable[
     """
     steps = cfg.steps(rollout)
     with contextlib.closing(_draw(rollout, steps, cfg)) as pictures:
-        write_atomically(path, lambda temporary: _encode(pictures, temporary, cfg, on_frame))
+        encode = _animate if path.suffix in ANIMATIONS else _encode
+        write_atomically(path, lambda temporary: encode(pictures, temporary, cfg, on_frame))
 
 
 def write_sheet(rollout: Rollout, path: Path, cfg: VideoCfg) -> None:
@@ -133,6 +138,24 @@ def _encode(pictures: Iterable[Picture], path: Path, cfg: VideoCfg, on_frame: Ca
     except (RuntimeError, OSError) as error:
         reason = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
         raise UserError(f"ffmpeg could not write the video ({reason}).") from None
+
+
+def _animate(pictures: Iterable[Picture], path: Path, cfg: VideoCfg, on_frame: Callable[[], None]) -> None:
+    def drawn() -> Iterator[Image.Image]:
+        for picture in pictures:
+            yield Image.fromarray(picture)
+            on_frame()
+
+    frames = drawn()
+    next(frames).save(
+        path,
+        format=path.suffix[1:],
+        save_all=True,
+        append_images=frames,
+        duration=round(1000.0 / cfg.fps),
+        loop=0,
+        **ANIMATIONS[path.suffix],
+    )
 
 
 _task: tuple[Rollout, VideoCfg] | None = None

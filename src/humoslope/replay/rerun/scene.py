@@ -32,6 +32,11 @@ SUPPORT_PLANE = (0.24, 0.16, 0.002)
 HALF_BAR = 0.3
 """Half the length of the bar through the centre of mass, m."""
 
+MARK_HEIGHT = 0.85
+"""Height of the mark of a failure above the root, m: above the head."""
+MARKED_S = 1.5
+"""Time for which a failure is marked, s."""
+
 Array = NDArray[np.floating]
 
 
@@ -72,6 +77,7 @@ class Scene:
             feet, force = self._rollout.columns.foot_pos_w[:, side], self._rollout.columns.foot_force_w[:, side]
             self._arrows(f"world/contact/{name}", feet, METRES_PER_NEWTON * force, colours.FORCE)
         self._log_events()
+        self._log_failures()
 
     def _log_robot(self) -> None:
         poses = self._robot.poses(self._rollout)
@@ -128,9 +134,34 @@ class Scene:
         seconds = [event.time for event in events]
         steps = np.rint(np.array(seconds) / self._rollout.header["dt"]).astype(np.int64)
         times = [rr.TimeColumn(TIME, duration=seconds), rr.TimeColumn(STEP, sequence=steps)]
-        levels = ["WARN" if event.kind in ("fall", "push", "touch") else "INFO" for event in events]
+        levels = ["WARN" if event.kind in ("fall", "cause", "push", "touch") else "INFO" for event in events]
         texts = [event.text for event in events]
         self._recording.send_columns(self._prefix + "events", times, rr.TextLog.columns(text=texts, level=levels))
+
+    def _log_failures(self) -> None:
+        """Marks the places where a fall began and where it ended, with what happened there, for `MARKED_S`."""
+        columns, dt = self._rollout.columns, self._rollout.header["dt"]
+        for kind, colour in (("cause", colours.COMMANDED), ("fall", colours.ZMP)):
+            failures = [event for event in self._rollout.events if event.kind == kind]
+            if not failures:
+                continue
+            rows = np.clip(np.searchsorted(columns.time, [e.time - 0.5 * dt for e in failures]), 0, len(columns) - 1)
+            places = columns.root_pos_w[rows] + np.array((0.0, 0.0, MARK_HEIGHT), np.float32)
+            # A mark stays until the next one: a second, empty one ends it.
+            begin = columns.time[rows].astype(np.float64)
+            end = np.minimum(begin + MARKED_S, np.append(begin[1:] - 1e-3, np.inf))
+            moments = np.stack([begin, end], axis=1).ravel()
+            there = np.tile([1, 0], len(rows)).astype(np.int32)
+            within = (there == 1) | (moments < columns.time[-1])  # nothing comes after the end of the walk
+            moments, there = moments[within], there[within]
+            steps = np.rint(moments / dt).astype(np.int64)
+            times = [rr.TimeColumn(TIME, duration=moments), rr.TimeColumn(STEP, sequence=steps)]
+            path = f"{self._prefix}world/failure/{kind}"
+            self._static(
+                f"world/failure/{kind}", rr.Points3D.from_fields(colors=[colour], radii=[0.05], show_labels=True)
+            )
+            marks = rr.Points3D.columns(positions=places, labels=[e.text for e in failures]).partition(there)
+            self._recording.send_columns(path, times, marks)
 
     def log_about(self, text: str) -> None:
         """Writes the origin of the walk, a text in Markdown."""

@@ -70,10 +70,7 @@ def served(path: Path, web_port: int, port: int) -> Iterator[str]:
     Raises:
         UserError: If a port is in use, or the page does not come up.
     """
-    if web_port == port:
-        raise UserError(f"--web-port and --port are both {port}; they must differ.")
-    for option, number in (("web-port", web_port), ("port", port)):
-        check_port(option, number)
+    check_ports(web_port, port)
     with temporary_folder() as folder, tempfile.TemporaryFile("w+") as said:
         shutil.copyfile(path, folder / SERVED)
         files = ThreadingHTTPServer((HOST, port), partial(_Files, f"http://{HOST}:{web_port}", directory=folder))
@@ -83,7 +80,7 @@ def served(path: Path, web_port: int, port: int) -> Iterator[str]:
         # Between fork and exec it only calls functions of the C library.
         page = subprocess.Popen(command, stdout=said, stderr=said, preexec_fn=die_with_parent)  # noqa: PLW1509
         try:
-            _wait_for(page, web_port, said)
+            wait_for_page(page, web_port, said)
             yield f"http://{HOST}:{web_port}/?url={quote(recording, safe='')}"
         finally:
             page.terminate()
@@ -107,6 +104,18 @@ class _Files(SimpleHTTPRequestHandler):
         """Does not log requests."""
 
 
+def check_ports(web_port: int, port: int) -> None:
+    """Checks that both ports can be listened on.
+
+    Raises:
+        UserError: If they cannot.
+    """
+    if web_port == port:
+        raise UserError(f"--web-port and --port are both {port}; they must differ.")
+    for option, number in (("web-port", web_port), ("port", port)):
+        check_port(option, number)
+
+
 def check_port(option: str, number: int) -> None:
     """Checks that a port can be listened on.
 
@@ -124,7 +133,15 @@ def check_port(option: str, number: int) -> None:
             raise UserError(f"port {number} cannot be used ({reason}); choose another with --{option}.") from None
 
 
-def _wait_for(page: subprocess.Popen[bytes], web_port: int, said: IO[str]) -> None:
+def wait_for_page(page: subprocess.Popen[bytes], web_port: int, said: IO[str]) -> None:
+    """Waits until the viewer's server listens on a port.
+
+    Args:
+        said: What the server has said, for the message.
+
+    Raises:
+        UserError: If it ends before, or takes longer than `START_S`.
+    """
     until = time.monotonic() + START_S
     while time.monotonic() < until:
         if page.poll() is not None:

@@ -1,0 +1,1 @@
+"""One HTML page of a training run, or of a comparison of several."""
