@@ -75,7 +75,7 @@ def _result(job: Job, there: Path) -> list[Path]:
     return made
 
 
-def actor_alone(path: Path) -> bytes:
+def actor_alone(path: Path) -> memoryview:
     """A checkpoint without what only a resumed training needs. Results and calibrations know it as the whole one."""
     state = checkpoint.load(path)
     state["formerly"] = (*state["formerly"], checkpoint.digest(path))
