@@ -102,7 +102,7 @@ def _measure_watching(task: str, typed: list[str], options: Options, console: Co
         costs.append(watch_cost(task, cfg, options.rounds))
     if options.out:
         told = {"what": "watch", "task": task, "options": typed, "sizes": [dataclasses.asdict(cost) for cost in costs]}
-        write_json(Path(options.out), told)
+        write_json(Path(options.out), finite(told))
     console.print(cost_table(costs))
 
 
