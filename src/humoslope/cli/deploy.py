@@ -93,7 +93,8 @@ def run(arguments: list[str]) -> None:
     load_sdk(options.interface)
     sdk_on_stderr()
     link = UnitreeLink(contract, options.interface, options.tag, pace)
-    guardian = None if options.dry_run else Guardian(options.folder, options.interface, options.tag, pace)
+    missed_s = options.limits.missed_ticks * contract.timing.control_step_s
+    guardian = None if options.dry_run else Guardian(options.folder, options.interface, options.tag, pace, missed_s)
     console = Console()
     say = _Sayer(console, pace)
     session = Session(

@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
@@ -66,7 +67,7 @@ def test_a_simulated_robot_never_speaks_on_a_network(contract: Contract) -> None
         (["deploy", "EXPORT", "--interface", "lo", "--limit.slew-rad-s", "0"], "slew_rad_s is 0; it must be positive"),
         (["deploy", "nowhere", "--interface", "lo"], "export folder 'nowhere' does not exist"),
         (["robot", "EXPORT", "--script", "start"], "script: 'start' must be like 1:start"),
-        (["robot", "EXPORT", "--grade", "80"], "up to 60 degrees"),
+        (["robot", "EXPORT", "--grade", "80"], "robot: grade is 80; it must be between -60 and 60 (too high)"),
         (["robot", "EXPORT", "--interface", "eth0"], "the loopback interface 'lo' only"),
         (["robot", "EXPORT", "--fault.flip", "left_nee_joint"], "joint 'left_nee_joint' does not exist; did you mean"),
     ],
@@ -121,15 +122,16 @@ TOLERANT = ("--limit.silent-s", "2", "--limit.missed-ticks", "50")
 
 
 def wait_for(process: subprocess.Popen[str], word: str) -> str:
-    """Reads lines of a process until one has the word."""
+    """Reads lines of a process until one has the word; ends the process if none does in time."""
     assert process.stdout is not None
-    end = time.monotonic() + LONG_S
-    while time.monotonic() < end:
-        line = process.stdout.readline()
-        if word in line:
-            return line
-        if not line:
-            break
+    impatience = threading.Timer(LONG_S, process.kill)
+    impatience.start()
+    try:
+        for line in process.stdout:
+            if word in line:
+                return line
+    finally:
+        impatience.cancel()
     raise AssertionError(f"'{word}' was not said; {process.stderr.read() if process.stderr else ''}")
 
 

@@ -23,7 +23,7 @@ from humoslope.errors import UserError
 
 BEAT, FAREWELL, READY = b".", b"q", b"r"
 PATIENCE_S = 0.1
-"""Longest time between two bytes, s."""
+"""Longest time between two bytes, s, unless the ward is more patient with itself."""
 DAMPED_S = 2.0
 """Time for which the guardian repeats the command, s; the robot keeps the last one."""
 START_S = 20.0
@@ -38,13 +38,15 @@ class Guardian:
         interface: Name of the network interface.
         tag: See `unitree_link.open_interface`.
         pace: The clock.
+        missed_s: Time without a command for which the ward itself waits, s. The guardian is never less patient.
 
     Raises:
         UserError: If the guardian does not start.
     """
 
-    def __init__(self, folder: Path, interface: str, tag: str, pace: Pace) -> None:
-        arguments = [str(folder), interface, tag, str(os.getpid()), str(pace.real(PATIENCE_S))]
+    def __init__(self, folder: Path, interface: str, tag: str, pace: Pace, missed_s: float = 0.0) -> None:
+        patience_s = pace.real(max(PATIENCE_S, missed_s))
+        arguments = [str(folder), interface, tag, str(os.getpid()), str(patience_s)]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "humoslope.deploy.onboard.guardian", *arguments],
             stdin=subprocess.PIPE,
