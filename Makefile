@@ -9,8 +9,8 @@ ROLLOUT ?= experiments/rollouts/stage2_track20.npz
 need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2)`))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  dashboard report export play terrain bench check-device campaign reproduce recipe drills test lint types docs check format clean
+.PHONY: help setup demo train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
+  dashboard report export play terrain bench check-device campaign reproduce recipe drills wheel test lint types docs check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,6 +28,9 @@ $(STAMP): pyproject.toml constraints.txt
 $(DOCS_STAMP): $(STAMP)
 	@$(BIN)/pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
+
+demo: $(STAMP) ## Show the shipped policy on a slope, live; ARGS="--grade -15 --view browser"
+	$(BIN)/humoslope demo $(ARGS)
 
 train-stage1: $(STAMP) ## Train Stage I; ARGS="--resume latest" goes on with the newest run
 	$(BIN)/humoslope train HumoSlope-Stage1-Unitree-G1 $(ARGS)
@@ -77,7 +80,7 @@ video: $(STAMP) ## Make an mp4 and a contact sheet of ROLLOUT, without a display
 export: $(STAMP) ## Export CHECKPOINT: ONNX, a contract, and Unitree's deploy.yaml
 	$(BIN)/humoslope export $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
 
-play: $(STAMP) ## Walk with the export in DIR by the arrow keys; ARGS="--headless --trials 64" counts falls
+play: $(STAMP) ## Walk with the export in DIR, steered by keys, sliders or a gamepad; ARGS="--headless --trials 64" counts falls
 	$(BIN)/humoslope play $(call need,DIR,logs/.../model_1000.export) $(ARGS)
 
 meshes: $(STAMP) ## Fetch the robot's real meshes, for ARGS=--meshes of replay and video
@@ -109,6 +112,9 @@ recipe: $(STAMP) ## Compare changes to the CPU recipe in short trainings, some n
 ifeq ($(filter --%,$(ARGS)),)
 	$(BIN)/humoslope compare logs/recipe --out experiments/results/recipe.md
 endif
+
+wheel: $(STAMP) ## Build the wheel, which holds all tasks, terrains, robots and shipped results, into dist
+	$(BIN)/pip wheel -q --disable-pip-version-check --no-deps --no-build-isolation -w dist .
 
 test: $(STAMP) ## Run the tests with their coverage; ARGS=tests/cli runs some, without it
 	$(BIN)/python -m pytest $(or $(ARGS),-n auto --dist worksteal --cov --cov-report=term:skip-covered --cov-fail-under=85)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import humoslope
+from humoslope import shipped
 from humoslope.managers.terms import Terms
 
 
@@ -35,8 +36,11 @@ def commit() -> str:
 
 
 def git_state() -> str:
-    """Commit, changed files and differences of the checkout, as far as git knows."""
+    """Commit, changed files and differences of the checkout, as far as git knows; of a wheel, the commit it is of."""
     root = Path(humoslope.__file__).parent
+    built_from = shipped.root() / "commit.txt"
+    if built_from.is_file():  # git would tell of the repository that the environment happens to lie in
+        return built_from.read_text(encoding="utf-8")
 
     def git(*words: str) -> str:
         try:

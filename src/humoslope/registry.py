@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from importlib.metadata import entry_points
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import humoslope
+from humoslope import shipped
 from humoslope.errors import UserError, unknown
 from humoslope.strict import StrictCfg
 
@@ -25,7 +22,8 @@ class WarmStartCfg(StrictCfg):
 
     Attributes:
         task: Name of the earlier task.
-        shipped: Path of a checkpoint of that task in the checkout, used if the user has trained none; "" for none.
+        shipped: Path of a checkpoint of that task that comes with HumoSlope, used if the user has trained none; "" for
+            none.
         calibrated: Name of the reward that the swing calibration of the earlier checkpoint sets; "" for none.
     """
 
@@ -93,13 +91,8 @@ def content_packages() -> tuple[str, ...]:
 
 
 def load_content() -> None:
-    """Imports the content of a checkout, its folders `terrains` and `tasks`, and of installed packages that have entry
-    points `humoslope.tasks`."""
-    root = Path(humoslope.__file__).parents[2]
-    if (root / "tasks" / "__init__.py").is_file():
-        if str(root) not in sys.path:
-            sys.path.insert(0, str(root))
-        import_module("terrains")
-        import_module("tasks")
+    """Imports the robots, terrains and tasks that come with HumoSlope, those in the working folder, and installed
+    packages that have entry points `humoslope.tasks`."""
+    shipped.load()
     for entry in entry_points(group="humoslope.tasks"):
         entry.load()

@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import glfw
 import pytest
 
 from humoslope.cli import main
@@ -92,12 +91,12 @@ def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
         assert re.search(r"Means: drift 0\.\d+ m; from 2 s on creep - m/s, - steps per second, both", printed)
 
 
-def test_a_window_is_opened_where_there_is_a_display(
+def test_a_window_is_opened_where_one_is_asked_for(
     exported: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(window, "check_display", lambda: None)
-    monkeypatch.setattr(window, "live", lambda player, say: say("It fell."))
-    assert main(["play", str(exported)]) == 0
+    monkeypatch.setattr(window, "live", lambda player, say, gamepad: say("It fell."))
+    assert main(["play", str(exported), "--view", "window"]) == 0
     printed = capsys.readouterr().out
     assert window.KEYS in printed
     assert "It fell." in printed
@@ -111,7 +110,7 @@ def test_mistakes_are_said_in_one_sentence(
     assert "is no folder one can write to" in mistake("export", str(untrained), "--out", str(tmp_path / "file"))
 
     assert "holds no policy.json; `humoslope export CHECKPOINT` writes one" in mistake("play", str(tmp_path))
-    assert "a window shows one trial; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
+    assert "a live walk is one trial; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
     assert "play: grade is 70; it must be between" in mistake("play", str(exported), "--grade", "70", "--headless")
-    monkeypatch.setattr(glfw, "init", lambda: False)
-    assert "there is no display to open a window on; add --headless" in mistake("play", str(exported))
+    monkeypatch.setattr("humoslope.deploy.views.has_display", lambda: False)
+    assert "there is no display; serve a page for a browser with --view browser" in mistake("play", str(exported))

@@ -6,9 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-SHARED = {f"humoslope.{name}" for name in ("errors", "files", "interrupts", "ranges", "seal", "statistics")}
-"""What it may use of the rest: sentences for mistakes, ranges of options, files and their seals, signals, and an
-interval for a share."""
+OTHERS = ("errors", "extras", "files", "interrupts", "plugins", "ranges", "screen", "seal", "shipped", "statistics")
+SHARED = {f"humoslope.{name}" for name in OTHERS}
+"""What it may use of the rest: sentences for mistakes, ranges of options, files and their seals, signals, an interval
+for a share, what is installed and shipped, and where something can be shown."""
 
 CODE = """
 import sys

@@ -12,7 +12,7 @@ import mujoco.viewer
 import numpy as np
 import pytest
 
-from humoslope.deploy import window
+from humoslope.deploy import live, window
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.player import Player
 from humoslope.errors import UserError
@@ -42,17 +42,19 @@ def test_keys_ask_for_what_was_trained_and_no_more(contract: Contract) -> None:
     assert keyboard.restart
 
 
-def test_without_a_display_a_sentence_points_to_headless(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_display_a_sentence_points_to_the_browser(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(glfw, "init", lambda: False)
-    with pytest.raises(UserError, match="there is no display to open a window on; add --headless"):
+    with pytest.raises(
+        UserError, match="there is no display to open a window on; look from a browser with --view browser"
+    ):
         window.check_display()
 
 
-def test_without_a_driver_a_sentence_points_to_headless(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_driver_a_sentence_points_to_the_browser(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(glfw, "init", lambda: True)
     monkeypatch.setattr(glfw, "window_hint", lambda hint, value: None)
     monkeypatch.setattr(glfw, "create_window", lambda *arguments: None)
-    with pytest.raises(UserError, match="the display has no OpenGL driver for a window; add --headless"):
+    with pytest.raises(UserError, match="the display has no OpenGL driver for a window; look from a browser"):
         window.check_display()
 
 
@@ -96,7 +98,7 @@ def show(
         step(command)
 
     monkeypatch.setattr(mujoco.viewer, "launch_passive", launch)
-    monkeypatch.setattr(window.time, "sleep", lambda seconds: None)
+    monkeypatch.setattr(live.time, "sleep", lambda seconds: None)
     monkeypatch.setattr(player, "step", watched)
     window.live(player, said.append)
     return said, commands

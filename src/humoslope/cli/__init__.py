@@ -11,12 +11,14 @@ from types import FrameType
 from typing import Any, TextIO, cast
 
 from humoslope.errors import UserError, unknown
+from humoslope.extras import explained_extras
 from humoslope.interrupts import Terminated, handled
 
 VERBS = {
+    "demo": "Show the shipped policy on a slope, live and steerable.",
     "train": "Train a task.",
     "campaign": "Run a table of trainings and evaluations.",
-    "list": "List the registered tasks and terrains.",
+    "list": "List the registered tasks and terrains, and the shipped files.",
     "terrain": "Draw a terrain to a PNG.",
     "ramps": "Evaluate a checkpoint on flat ground and on ramps.",
     "evaluate": "Evaluate checkpoints on the held-out track.",
@@ -64,9 +66,10 @@ def main(arguments: list[str] | None = None) -> int:
             raise unknown("verb", verb, VERBS)
         prints_only = verb in (*PRINTING, *HELP) or not {*rest}.isdisjoint(HELP)
         unread = 141 if prints_only else 0
-        run: Callable[[list[str]], None] = _print_help if verb in HELP else _verb(verb)
         # A training sees to its terminal itself.
-        with handled(_stop), nullcontext() if prints_only or verb == "train" else _without_readers():
+        reading = nullcontext() if prints_only or verb == "train" else _without_readers()
+        with handled(_stop), explained_extras(verb), reading:
+            run: Callable[[list[str]], None] = _print_help if verb in HELP else _verb(verb)
             run(rest)
     except UserError as error:
         code, said = 2, str(error)

@@ -20,6 +20,7 @@ from humoslope.evaluation.swing.figure import draw
 from humoslope.evaluation.swing.file import calibration_path, write_calibration
 from humoslope.evaluation.swing.fit import Fit, SwingFit, gather, solve, table
 from humoslope.evaluation.swing.samples import SwingProtocol, collect_samples
+from humoslope.extras import MATPLOTLIB, installed, missing
 from humoslope.files import check_place
 from humoslope.learning.policy import load_actor, read_spec
 from humoslope.mdp.selection import joint_pair
@@ -85,8 +86,11 @@ def run(arguments: list[str]) -> None:
     _say(console, found)
     meta = describe(env, provenance, protocol, took, warnings, ["calibrate", *arguments])
     write_calibration(out, found, {"fit": plain(fit), "samples": len(samples), **meta})
-    draw(samples, found, fit, f"{path.name}, iteration {provenance.iteration}", picture)
-    console.print(f"wrote {out} and {picture}", soft_wrap=True)
+    if installed(MATPLOTLIB):
+        draw(samples, found, fit, f"{path.name}, iteration {provenance.iteration}", picture)
+        console.print(f"wrote {out} and {picture}", soft_wrap=True)
+    else:
+        console.print(f"wrote {out}\n{missing('its picture', MATPLOTLIB)}", soft_wrap=True)
 
 
 def _say(console: Console, found: SwingFit) -> None:

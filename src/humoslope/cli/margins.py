@@ -22,6 +22,7 @@ from humoslope.evaluation.margins import show
 from humoslope.evaluation.margins.quantities import Name, Success
 from humoslope.evaluation.margins.run import Certificate
 from humoslope.evaluation.margins.search import Rule
+from humoslope.extras import MATPLOTLIB, installed, missing
 from humoslope.files import check_place
 from humoslope.interrupts import Terminated, deferred_interrupts
 from humoslope.ranges import Checked, NotEmpty, Positive, Range, Seed
@@ -93,9 +94,12 @@ def run(arguments: list[str]) -> None:
     report = certificate.report()
     report["command_line"] = shlex.join(["humoslope", "margins", *arguments])
     write_json(json_path, report)
-    show.draw(report, figure_path)
     console.print(show.table(report))
-    console.print(f"wrote {json_path} and {figure_path}", soft_wrap=True)
+    if installed(MATPLOTLIB):
+        show.draw(report, figure_path)
+        console.print(f"wrote {json_path} and {figure_path}", soft_wrap=True)
+    else:
+        console.print(f"wrote {json_path}\n{missing('its picture', MATPLOTLIB)}", soft_wrap=True)
 
 
 @contextmanager

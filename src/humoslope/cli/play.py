@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -13,18 +14,21 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from humoslope.cli.arguments import parse_options
 from humoslope.deploy import contract as contracts
+from humoslope.deploy import views
 from humoslope.deploy.conditions import NOMINAL, Conditions
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.gait import FAST_HZ
 from humoslope.deploy.player import SETTLE_S, Player, Trial, TrialCfg, run_trials, summarise
+from humoslope.deploy.views import Live
 from humoslope.errors import UserError
 from humoslope.ranges import Checked
+from humoslope.shipped import found
 
 
 @dataclasses.dataclass(frozen=True)
 class Options(Checked):
-    """Runs an exported policy in plain MuJoCo, in a window or headless, and prints how it walks; at --speed 0, how it
-    stands.
+    """Runs an exported policy in plain MuJoCo: live, steered in the browser, in a window or with a gamepad; or
+    headless, where it prints how it walks and, at --speed 0, how it stands.
 
     Straight ahead it begins on level ground, with the ramp in front of it; else it starts on the slope.
 
@@ -32,7 +36,8 @@ class Options(Checked):
         folder: Folder that `humoslope export` wrote.
         trials: Course, command and number of the trials.
         conditions: Disturbances: robot, sensors, timing and pushes.
-        headless: Run without a window, as fast as the machine can.
+        headless: Run without showing anything, as fast as the machine can.
+        live: View of the walk, and its controls.
     """
 
     VERB: ClassVar[str] = "play"
@@ -41,6 +46,7 @@ class Options(Checked):
     trials: Annotated[TrialCfg, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrialCfg)
     conditions: Annotated[Conditions, tyro.conf.arg(name="")] = NOMINAL
     headless: bool = False
+    live: Annotated[Live, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Live)
 
 
 def run(arguments: list[str]) -> None:
@@ -48,20 +54,21 @@ def run(arguments: list[str]) -> None:
     options = parse_options(Options, arguments, "play")
     cfg, console = options.trials, Console()
     if not options.headless and cfg.trials > 1:
-        raise UserError("a window shows one trial; --trials needs --headless.")
-    contract = contracts.read(options.folder)
-    player = Player(options.folder, contract, cfg, options.conditions)
-    if options.headless:
-        console.print(_introduction(contract, cfg, options.conditions), highlight=False, soft_wrap=True)
+        raise UserError("a live walk is one trial; --trials needs --headless.")
+    folder = found(options.folder)
+    contract = contracts.read(folder)
+    kind = views.chosen(options.live.view)
+    if kind is None and not options.headless:
+        raise UserError(
+            "there is no display; serve a page for a browser with --view browser, or walk without looking with "
+            "--headless."
+        )
+    player = Player(folder, contract, cfg if options.headless else views.long_course(cfg), options.conditions)
+    console.print(_introduction(contract, cfg, options.conditions), highlight=False, soft_wrap=True)
+    if options.headless or kind is None:
         console.print(_report(_run(console, player), cfg), highlight=False, soft_wrap=True)
         return
-    from humoslope.deploy import window  # needs libraries that a machine without a display may lack
-
-    window.check_display()
-    console.print(
-        _introduction(contract, cfg, options.conditions), window.KEYS, sep="\n", highlight=False, soft_wrap=True
-    )
-    window.live(player, console.print)
+    views.show(player, kind, options.live, partial(console.print, highlight=False, markup=False, soft_wrap=True))
 
 
 def _run(console: Console, player: Player) -> list[Trial]:

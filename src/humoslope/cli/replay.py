@@ -12,8 +12,9 @@ import tyro
 from humoslope.files import check_place, temporary_folder
 from humoslope.replay.meshes import load_meshes
 from humoslope.replay.rerun.rrd import write_rrd
-from humoslope.replay.rerun.viewer import has_display, open_window, served
+from humoslope.replay.rerun.viewer import open_window, served
 from humoslope.replay.rollout import load_rollout
+from humoslope.screen import has_display
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import humoslope
+from humoslope import shipped
 from humoslope.errors import UserError
 from humoslope.evaluation.swing.file import calibration_path, check_belongs, load_calibration
 from humoslope.learning import checkpoint
@@ -54,7 +54,7 @@ def find_origin(start: WarmStartCfg | None, init: str, calibration: str) -> Orig
         return Origin(earlier)
     if calibration == PRIOR:
         return Origin(earlier, calibration="Swing calibration: the prior, as configured.")
-    file = Path(calibration) if calibration else calibration_path(path)
+    file = shipped.found(Path(calibration) if calibration else calibration_path(path))
     if not calibration and not file.is_file():
         raise UserError(
             f"there is no swing calibration '{file}'; make it with `make calibrate CHECKPOINT={path}`, name another "
@@ -70,11 +70,11 @@ def find_origin(start: WarmStartCfg | None, init: str, calibration: str) -> Orig
 
 def _newest(start: WarmStartCfg) -> Path:
     runs = runs_of(start.task)
-    shipped = Path(humoslope.__file__).parents[2] / start.shipped
+    walker = shipped.root() / start.shipped
     if runs:
         return checkpoint.latest(runs[-1])
-    if shipped.is_file():
-        return shipped
+    if walker.is_file():
+        return walker
     raise UserError(
         f"this task starts from a checkpoint of {start.task}, and there is none under {Path('logs') / start.task}; "
         "train that first, or name a checkpoint with --init."

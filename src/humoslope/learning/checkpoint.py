@@ -35,6 +35,7 @@ from humoslope.errors import UserError
 from humoslope.files import read_bytes, write_bytes
 from humoslope.learning import format_1
 from humoslope.seal import MARK, is_sealed, seal
+from humoslope.shipped import found
 
 FORMAT = 2
 """Raised when the layout changes; older layouts are read as long as there is a reader for them."""
@@ -92,7 +93,7 @@ def load_sealed(path: Path) -> dict[str, Any]:
 
 
 def load(path: Path, task: str | None = None, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Reads a checkpoint of this format or an older one; nothing in it is executed.
+    """Reads a checkpoint of this format or an older one, also one that comes with HumoSlope; nothing in it is executed.
 
     Args:
         task: The task it must belong to; None for any.
@@ -101,7 +102,7 @@ def load(path: Path, task: str | None = None, device: torch.device | str = "cpu"
         UserError: If the file is missing, damaged, no checkpoint, of an unknown format or another task, or holds a
             weight that is not finite.
     """
-    content = read_bytes("checkpoint", path)
+    content = read_bytes("checkpoint", found(path))
     if MARK in content[-len(MARK) - 64 :] and not is_sealed(content):
         raise _broken(path)
     try:
@@ -135,7 +136,7 @@ def require_finite(state: Mapping[str, Any], refusal: str) -> None:
 
 def digest(path: Path) -> str:
     """SHA-256 of a file, hexadecimal."""
-    with path.open("rb") as file:
+    with found(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

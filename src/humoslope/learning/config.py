@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import torch
 
 from humoslope.errors import UserError
+from humoslope.extras import require
 from humoslope.ranges import NotEmpty, NotNegative, Positive, Range, Share, check_config
 from humoslope.strict import StrictCfg
 
@@ -46,8 +46,8 @@ class AgentCfg(StrictCfg):
     def check(self) -> None:
         """Raises UserError if a value is impossible."""
         check_config("agent", self)
-        if self.logger == "wandb" and find_spec("wandb") is None:
-            raise UserError("agent.logger 'wandb' needs a package that is not installed: pip install '.[wandb]'.")
+        if self.logger == "wandb":
+            require("agent.logger 'wandb'", "wandb")
 
     def build(self, env: ManagerBasedRlEnv) -> Learner:
         """Creates the learner for an environment.

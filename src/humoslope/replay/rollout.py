@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 
 from humoslope.errors import UserError, unknown
 from humoslope.seal import read_arrays, write_arrays
+from humoslope.shipped import found
 
 NAME, VERSION = "humoslope-rollout", 1
 LARGEST = 1e9
@@ -201,11 +202,12 @@ class Rollout:
 
 
 def load_rollout(path: Path) -> Rollout:
-    """Reads a rollout file; nothing in it is executed.
+    """Reads a rollout file, also one that comes with HumoSlope; nothing in it is executed.
 
     Raises:
         UserError: If the file is missing, broken, no rollout, of a newer format, or contradicts itself.
     """
+    path = found(path)
     if not path.is_file():
         raise UserError(f"rollout '{path}' does not exist.")
     try:

@@ -66,7 +66,7 @@ def test_a_simulated_robot_never_speaks_on_a_network(contract: Contract) -> None
         (["deploy", "EXPORT", "--interface", "lo", "--limit.slew-rad-s", "0"], "slew_rad_s is 0; it must be positive"),
         (["deploy", "nowhere", "--interface", "lo"], "export folder 'nowhere' does not exist"),
         (["robot", "EXPORT", "--script", "start"], "script: 'start' must be like 1:start"),
-        (["robot", "EXPORT", "--grade", "80"], "up to 60 degrees"),
+        (["robot", "EXPORT", "--grade", "80"], "robot: grade is 80; it must be between -60 and 60"),
         (["robot", "EXPORT", "--interface", "eth0"], "the loopback interface 'lo' only"),
         (["robot", "EXPORT", "--fault.flip", "left_nee_joint"], "joint 'left_nee_joint' does not exist; did you mean"),
     ],

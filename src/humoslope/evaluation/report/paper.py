@@ -6,12 +6,11 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import humoslope
+from humoslope import shipped
 from humoslope.errors import UserError
 from humoslope.evaluation.report.results import Result
 
-FILE = Path(humoslope.__file__).parents[2] / "experiments" / "paper.json"
-"""Path in a checkout; an installed package does not contain the paper's tables."""
+FILE = shipped.root() / "experiments" / "paper.json"
 
 
 @dataclass(frozen=True)

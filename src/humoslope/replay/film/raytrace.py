@@ -6,6 +6,7 @@ The light is a sun with sharp shadows, and a sky that lights from above. Colours
 from __future__ import annotations
 
 import functools
+import platform
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,9 @@ from humoslope.replay.shapes import Shape
 try:
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
-except ImportError:
+except ModuleNotFoundError:
+    if platform.machine() != "aarch64":
+        raise
     raise UserError("video needs the package embreex, which is not available for this machine.") from None
 
 Array = NDArray[np.float32]

@@ -27,9 +27,10 @@ from humoslope.interrupts import die_with_parent
 from humoslope.replay.rerun import colours
 from humoslope.replay.rerun.layout import EYE
 from humoslope.replay.rerun.scene import OVERHEAD
-from humoslope.replay.rerun.viewer import HOST, check_ports, program, wait_for_page
+from humoslope.replay.rerun.viewer import check_ports, program, wait_for_page
 from humoslope.replay.robot import RobotShape
 from humoslope.replay.shapes import Shape, joined, surface
+from humoslope.screen import HOST
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env

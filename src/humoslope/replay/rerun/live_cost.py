@@ -19,7 +19,7 @@ from humoslope.learning.rng import seed_everything
 from humoslope.learning.trainer import Trainer
 from humoslope.registry import TaskCfg
 from humoslope.replay.rerun.live import LiveView, live_view
-from humoslope.replay.rerun.viewer import HOST
+from humoslope.screen import HOST
 
 ALONE, UNSEEN, SEEN = "without", "nobody looks", "somebody looks"
 WORLDS = 4

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -21,11 +19,11 @@ from urllib.parse import quote
 import rerun_cli
 
 from humoslope.errors import UserError
+from humoslope.extras import missing
 from humoslope.files import temporary_folder
 from humoslope.interrupts import die_with_parent
+from humoslope.screen import HOST, check_port, has_display
 
-HOST = "127.0.0.1"
-"""Address that is listened on: only this machine can connect."""
 PROGRAMS = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
 """Paths of the viewer in its package, on different systems."""
 START_S = 60.0
@@ -49,11 +47,6 @@ def open_window(path: Path) -> None:
         done = subprocess.run(command, stderr=said, check=False, preexec_fn=die_with_parent)
         if done.returncode:
             raise _failure(done.returncode, said)
-
-
-def has_display() -> bool:
-    """Returns whether windows can be opened."""
-    return not sys.platform.startswith("linux") or any(os.environ.get(n) for n in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 @contextmanager
@@ -116,23 +109,6 @@ def check_ports(web_port: int, port: int) -> None:
         check_port(option, number)
 
 
-def check_port(option: str, number: int) -> None:
-    """Checks that a port can be listened on.
-
-    Raises:
-        UserError: If it cannot.
-    """
-    if not 1 <= number <= 65535:
-        raise UserError(f"--{option} is {number}; it must be between 1 and 65535.")
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, number))
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise UserError(f"port {number} cannot be used ({reason}); choose another with --{option}.") from None
-
-
 def wait_for_page(page: subprocess.Popen[bytes], web_port: int, said: IO[str]) -> None:
     """Waits until the viewer's server listens on a port.
 
@@ -159,7 +135,7 @@ def program() -> str:
     for name in PROGRAMS:
         if (folder / name).is_file():
             return str(folder / name)
-    raise UserError("rerun's viewer is not installed; `make setup` installs it.")
+    raise UserError(missing("a window or a page of rerun", "rerun_cli"))
 
 
 def _failure(code: int, said: IO[str]) -> UserError:

@@ -1,0 +1,1 @@
+"""Robots, each in a folder of its own."""
