@@ -7,12 +7,14 @@ import resource
 import shutil
 import tempfile
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from humoslope.errors import UserError
 from humoslope.learning.run_folder import saved_options
+from humoslope.registry import load_content
 from tests import processes
 
 TASK = "HumoSlope-Stage1-Unitree-G1"
@@ -28,6 +30,9 @@ def place() -> Iterator[Path]:
 
 
 def become_nobody() -> None:
+    # Python itself may lie where only root can read.
+    import_module("humoslope.cli.train")
+    load_content()
     if os.getuid() == 0:
         os.setuid(NOBODY)
 
