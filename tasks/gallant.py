@@ -20,10 +20,10 @@ from humoslope.managers import (
     Terms,
 )
 from humoslope.managers.goal import GoalCommandCfg
-from humoslope.mdp import curricula, gallant, harness, rewards, terminations, voxels
+from humoslope.mdp import curricula, gallant, rewards, terminations, voxels
 from humoslope.registry import TaskCfg, task
 from robots.unitree_g1 import UNITREE_G1_SOLID
-from tasks.stage1 import falls, physics, proprioception, randomisation
+from tasks.stage1 import falls, harness_curriculum, physics, proprioception, randomisation
 from terrains.stage1 import stage1 as stage1_terrain
 
 PROPRIOCEPTION = ("base_ang_vel", "projected_gravity", "joint_pos_rel", "joint_vel")
@@ -139,7 +139,7 @@ def gallant_task() -> TaskCfg:
             terminations=ends(),
             events=randomisation(),
             curriculum=Terms(
-                harness=TermCfg(harness.HarnessCurriculum),
+                harness=harness_curriculum(),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),
         ),

@@ -153,6 +153,11 @@ STRICT = (
 """Rewards that count as the harness is withdrawn: a robot in it shall first of all find out that it can walk."""
 
 
+def harness_curriculum() -> TermCfg:
+    """The harness goes where robots hardly fall and walk at 60 % of the commanded speed, also in new directions."""
+    return TermCfg(harness.HarnessCurriculum, {"speed_share": 0.6})
+
+
 def falls() -> Terms[TerminationTermCfg]:
     """Failures if the robot is down or about to be; time-outs at the end of the episode and at the edge of the tile."""
     return Terms(
@@ -213,7 +218,7 @@ def stage1() -> TaskCfg:
             terminations=falls(),
             events=randomisation(),
             curriculum=Terms(
-                harness=TermCfg(harness.HarnessCurriculum, {"speed_share": 0.6}),
+                harness=harness_curriculum(),
                 variety=TermCfg(harness.VaryCommands),
                 strict_rewards=TermCfg(harness.StrengthenRewards, {"rewards": STRICT}),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),

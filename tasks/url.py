@@ -28,7 +28,7 @@ from humoslope.mdp import curricula, harness, observations, rewards, termination
 from humoslope.registry import TaskCfg, task
 from robots.unitree_g1 import UNITREE_G1_SOLID
 from robots.unitree_g1.model import SOLE_CENTRE
-from tasks.stage1 import actor_group, all_directions, falls, physics, proprioception, randomisation
+from tasks.stage1 import actor_group, all_directions, falls, harness_curriculum, physics, proprioception, randomisation
 from terrains.stage1 import stage1 as stage1_terrain
 
 ROOT_HEIGHT = {"target": 0.78}
@@ -88,7 +88,7 @@ def url_literal() -> TaskCfg:
             terminations=ends,
             events=randomisation(),
             curriculum=Terms(
-                harness=TermCfg(harness.HarnessCurriculum),
+                harness=harness_curriculum(),
                 variety=TermCfg(harness.VaryCommands),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),

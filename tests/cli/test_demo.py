@@ -50,7 +50,7 @@ def test_what_cannot_be_shown_is_said_in_one_sentence(
     assert "there is no display to open a window on" in mistake("demo", "--view", "window")
     assert "there is no gamepad" in mistake("demo", "--view", "window", "--gamepad", "nothing")
     assert "cannot write" in mistake("demo", "--picture", f"{__file__}/picture.png")
-    assert "--grade 70 must be between" in mistake("demo", "--grade", "70")
+    assert "play: grade is 70; it must be between" in mistake("demo", "--grade", "70")
 
 
 def test_a_port_in_use_is_said_in_one_sentence(mistake: Callable[..., str], blind: Path) -> None:
