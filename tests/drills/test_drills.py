@@ -98,6 +98,11 @@ def test_what_is_out_of_all_proportion_is_refused_like_anything_else(options_, a
     assert options.judge(TASK, options_) == (answer, "")
 
 
+def test_an_observation_group_that_does_not_exist_is_refused():
+    words = ["--agent.vector-groups", "command", "", "last_actions"]
+    assert options.judge("Gallant-Unitree-G1", words) == ("refused", "")
+
+
 def test_finished_parts_of_the_drills_are_kept_and_those_of_other_code_are_not(tmp_path: Path):
     done: list[str] = []
 

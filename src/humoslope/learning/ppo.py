@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import redirect_stdout
 from io import StringIO
 from itertools import pairwise
+from math import prod
 from typing import Any
 
 import torch
@@ -19,7 +20,7 @@ from humoslope.errors import UserError
 from humoslope.learning.config import PpoCfg
 from humoslope.learning.distributed import read_processes
 from humoslope.learning.learner import Transition
-from humoslope.learning.policy import PolicySpec
+from humoslope.learning.policy import PolicySpec, shapes_of
 from humoslope.learning.symmetry import Mirror
 from humoslope.learning.vec_env import RslRlVecEnv
 from humoslope.memory import require_memory
@@ -49,12 +50,11 @@ class PpoLearner(OnPolicyRunner):
                 f"agent.num_mini_batches {cfg.num_mini_batches} is more than the {samples} samples of a rollout "
                 f"({env.num_envs} envs x {cfg.num_steps_per_env} steps)."
             )
-        obs = env.get_observations()
         rsl_rl_cfg["actor"] |= (settings := cfg.network_settings(env))
         rsl_rl_cfg["critic"] |= settings
         actor_groups = tuple(rsl_rl_cfg["obs_groups"]["actor"])
         read = {name for names in rsl_rl_cfg["obs_groups"].values() for name in names}
-        width = sum(obs[name][0].numel() for name in read if name in obs) + 4 * env.robot.num_joints
+        width = sum(map(prod, shapes_of(env, tuple(sorted(read))))) + 4 * env.robot.num_joints
         if env.device.type == "cpu":
             rollout = 4 * cfg.num_steps_per_env * width
             batch = rollout * (2 if cfg.symmetry else 1) / cfg.num_mini_batches
