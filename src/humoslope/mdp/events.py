@@ -107,13 +107,13 @@ def push(
 
     Args:
         speed: Largest change along world x and along world y, m/s.
-        harness: Name of the `Harness` event: pushes grow as it is withdrawn. Empty for full pushes from the start.
-        harnessed: Share of `speed` in the full harness.
+        harness: Name of the `Harness` event: pushes grow with its strictness. Empty for full pushes from the start.
+        harnessed: Share of `speed` until then.
     """
     qvel = env.sim.state("qvel")
     kick = env.uniform(-speed, speed, 2)
     if harness:
-        kick = kick * (1.0 - (1.0 - harnessed) * env.events[harness].scale)
+        kick = kick * (harnessed + (1.0 - harnessed) * env.events[harness].strictness)
     replace(qvel[:, :2], mask, qvel[:, :2] + kick)
 
 

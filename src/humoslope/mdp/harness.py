@@ -30,6 +30,10 @@ class Harness(StatefulTerm):
 
     It acts from the start of an episode: a reset sets it for the state that the reset events have written.
 
+    Attributes:
+        scale: Present strength, in [0, 1].
+        strictness: How much is asked for beyond walking, in [0, 1]; it grows when the harness is gone.
+
     Args:
         support: Upward force at full scale, as a share of body weight.
         stiffness: Torque about the horizontal axes per sine of the torso's lean, Nm.
@@ -51,6 +55,7 @@ class Harness(StatefulTerm):
             raise UserError(f"harness: scale {scale} must be between 0 and 1.")
         require_not_negative("harness", support=support, stiffness=stiffness, damping=damping)
         self.scale = torch.tensor(scale, device=env.device)
+        self.strictness = torch.zeros((), device=env.device)
         self._env = env
         self._lift = support * env.robot.total_mass * zmp.GRAVITY  # N
         self._stiffness, self._damping = stiffness, damping
@@ -115,11 +120,15 @@ class _Chain:
 
 
 class HarnessCurriculum(CurriculumTerm):
-    """Curriculum: the harness is withdrawn while the robots hardly fall and really walk.
+    """Curriculum: the harness is withdrawn while the robots hardly fall and really walk; then more is asked of them.
+
+    First things first: a robot that has to learn other directions, to bear pushes and to step rarely while its support
+    goes, falls ever more often, and keeps the rest of its support.
 
     Args:
         event: Name of the `Harness` event.
-        rate: Scale withdrawn per second of training time in one env. 0.0083 is 0.004 in a rollout of 24 steps of 20 ms.
+        rate: Scale withdrawn, and then strictness added, per second of training time in one env. 0.0083 is 0.004 in a
+            rollout of 24 steps of 20 ms.
         falls_per_second: Falls per env and second from which the harness is left as it is.
         speed_share: Share of the commanded speed, in whatever direction, up to which it is left as it is: standing
             still in the harness is no skill.
@@ -159,27 +168,37 @@ class HarnessCurriculum(CurriculumTerm):
         self._falls = torch.lerp(falls, self._falls, self._keep)
         self._speed = torch.lerp(share, self._speed, self._keep)
         able = (self._falls < self._most_falls) & (self._speed > self._least_speed)
-        self._harness.scale = (self._harness.scale - self._rate * env.step_dt * able).clamp(min=0.0)
-        return self._harness.scale
+        harness, step = self._harness, self._rate * env.step_dt * able
+        unaided = harness.scale <= 0.0
+        harness.strictness = (harness.strictness + step * unaided).clamp(max=1.0)
+        harness.scale = (harness.scale - step).clamp(min=0.0)
+        return harness.scale
 
     def state_dict(self) -> dict[str, Any]:
-        """Scale, fall rate and speed."""
-        return {"scale": self._harness.scale.item(), "falls": self._falls.item(), "speed": self._speed.item()}
+        """Scale, strictness, fall rate and speed."""
+        harness = self._harness
+        return {
+            "scale": harness.scale.item(),
+            "strictness": harness.strictness.item(),
+            "falls": self._falls.item(),
+            "speed": self._speed.item(),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores the result of `state_dict`."""
         self._harness.scale = torch.tensor(state["scale"], device=self._falls.device)
+        self._harness.strictness = torch.tensor(state.get("strictness", 0.0), device=self._falls.device)
         self._falls = torch.tensor(state["falls"], device=self._falls.device)
         self._speed = torch.tensor(state["speed"], device=self._speed.device)
 
     def average(self, mean: Callable[[Tensor], Tensor]) -> None:
         """Withdraws the harness of all processes alike, by their mean fall rate and speed."""
         self._falls, self._speed = mean(self._falls), mean(self._speed)
-        self._harness.scale = mean(self._harness.scale)
+        self._harness.scale, self._harness.strictness = mean(self._harness.scale), mean(self._harness.strictness)
 
 
 class StrengthenRewards(CurriculumTerm):
-    """Curriculum: some rewards count in full only when the harness is gone, by 1 less its scale.
+    """Curriculum: some rewards count by the strictness that has been reached; see `HarnessCurriculum`.
 
     Prices of steps and of restless actions belong here: paid from the start, they would make standing still the best
     that a robot can do before it has learnt to walk.
@@ -197,14 +216,14 @@ class StrengthenRewards(CurriculumTerm):
 
     def step(self, env: Env) -> Tensor:
         """Sets the strengths; returns it."""
-        strength = 1.0 - self._harness.scale
+        strength = self._harness.strictness
         for name in self._rewards:
             env.rewards.set_strength(name, strength)
         return strength
 
 
 class VaryCommands(CurriculumTerm):
-    """Curriculum: robots are asked to stand, to turn and to walk in other directions as the harness is withdrawn.
+    """Curriculum: robots are asked to stand, to turn and to walk in other directions as strictness grows.
 
     Who has not learnt to step yet learns from such commands that standing still is worth something.
 
@@ -217,7 +236,7 @@ class VaryCommands(CurriculumTerm):
 
     def step(self, env: Env) -> Tensor:
         """Sets the variety of commands; returns it."""
-        env.commands.variety = 1.0 - self._harness.scale
+        env.commands.variety = self._harness.strictness
         return env.commands.variety
 
 
