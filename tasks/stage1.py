@@ -150,11 +150,11 @@ STRICT = (
     *("track_velocity_finely", "knee_flexion", "foot_clearance", "action_acc", "landings"),
     *("stand_on_both_feet", "stand_without_steps", "stand_without_creep", "stand_at_ease"),
 )
-"""Rewards that count as the harness is withdrawn: a robot in it shall first of all find out that it can walk."""
+"""Rewards that count when the harness is gone: a robot shall first of all find out that it can walk."""
 
 
 def harness_curriculum() -> TermCfg:
-    """The harness goes where robots hardly fall and walk at 60 % of the commanded speed, also in new directions."""
+    """The harness goes where robots hardly fall and walk at 60 % of the commanded speed; then more is asked of them."""
     return TermCfg(harness.HarnessCurriculum, {"speed_share": 0.6})
 
 

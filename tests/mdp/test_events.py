@@ -148,11 +148,11 @@ def test_a_push_changes_horizontal_velocity_in_its_worlds_by_up_to_its_speed(mak
     assert -0.5 <= kick[:, :2].min() < -0.4
 
 
-@pytest.mark.parametrize(("scale", "most"), [(1.0, 0.2), (0.5, 0.35), (0.0, 0.5)])
-def test_a_push_grows_as_the_harness_is_withdrawn(make_env, scale, most):
+@pytest.mark.parametrize(("strictness", "most"), [(0.0, 0.2), (0.5, 0.35), (1.0, 0.5)])
+def test_a_push_grows_with_the_strictness_of_the_harness(make_env, strictness, most):
     qvel = torch.zeros(2000, 35)
     env = make_env(2000, sim=SimpleNamespace(state=lambda field: qvel))
-    env.events = {"harness": SimpleNamespace(scale=torch.tensor(scale))}
+    env.events = {"harness": SimpleNamespace(strictness=torch.tensor(strictness))}
     events.push(env, torch.ones(2000, dtype=torch.bool), speed=0.5, harness="harness", harnessed=0.4)
     assert 0.99 * most < qvel.abs().max() <= most + 1e-6
 

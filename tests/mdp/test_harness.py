@@ -218,13 +218,14 @@ def test_processes_withdraw_it_by_their_mean_fall_rate_and_speed(withdrawal):
     withdrawal.term = withdrawal.make(rate=0.01)
     withdrawal(700)
     mine = withdrawal.term.state_dict()
-    other = iter([0.4, 0.2, 0.1])  # falls, speed and scale in the other process
+    other = iter([0.4, 0.2, 0.1, 0.6])  # falls, speed, scale and strictness in the other process
     withdrawal.term.average(lambda value: 0.5 * (value + next(other)))
     assert withdrawal.term.state_dict() == pytest.approx(
         {
             "falls": 0.5 * (mine["falls"] + 0.4),
             "speed": 0.5 * (mine["speed"] + 0.2),
             "scale": 0.5 * (mine["scale"] + 0.1),
+            "strictness": 0.5 * (mine["strictness"] + 0.6),
         }
     )
     assert withdrawal.env.events["harness"].scale is withdrawal.term.scale
@@ -281,18 +282,39 @@ def test_only_a_harness_can_be_withdrawn(withdrawal):
         HarnessCurriculum(withdrawal.env, event="push")
 
 
-# Rewards that grow as it goes
+def test_strictness_grows_at_the_same_pace_once_it_is_gone_and_is_kept(withdrawal):
+    withdrawal.term = withdrawal.make(rate=0.05)
+    harness = withdrawal.env.events["harness"]
+    while withdrawal(1) > 0.0:
+        assert harness.strictness.item() == 0.0
+    begun = harness.strictness.item()
+    withdrawal(100)
+    assert harness.strictness.item() - begun == pytest.approx(100 * 0.05 * withdrawal.env.step_dt, rel=1e-3)
+    state = withdrawal.term.state_dict()
+    withdrawal(100, falling=True)  # falls are remembered for a while
+    held = harness.strictness.item()
+    withdrawal(100, falling=True)
+    assert harness.strictness.item() == held
+    withdrawal.term.load_state_dict(state)
+    assert harness.strictness.item() == pytest.approx(state["strictness"])
+    withdrawal.term = withdrawal.make(rate=10.0)
+    withdrawal(1500)
+    assert harness.strictness.item() == 1.0
 
 
-def test_strict_rewards_count_by_what_the_harness_has_lost(bare):
+# Rewards and commands that grow with the strictness
+
+
+def test_strict_rewards_count_by_the_strictness(bare):
     seen = {}
     env = bare(2, rewards=SimpleNamespace(set_strength=lambda name, share: seen.update({name: share.item()})))
-    env.events = {"harness": Harness(env, scale=0.7)}
+    env.events = {"harness": Harness(env)}
+    env.events["harness"].strictness = torch.tensor(0.3)
     env.cfg.rewards = Terms(landings=object(), other=object())
     term = StrengthenRewards(env, rewards=("landings",))
     assert term.step(env).item() == pytest.approx(0.3)
     assert seen == pytest.approx({"landings": 0.3})
-    env.events["harness"].scale = torch.tensor(0.0)
+    env.events["harness"].strictness = torch.tensor(1.0)
     term.step(env)
     assert seen == {"landings": 1.0}
 
@@ -306,9 +328,10 @@ def test_a_strict_reward_that_does_not_exist_and_an_event_that_is_no_harness_are
         StrengthenRewards(env, rewards=("landings",), event="push")
 
 
-def test_commands_vary_by_what_the_harness_has_lost(bare):
+def test_commands_vary_by_the_strictness(bare):
     env = bare(2, commands=SimpleNamespace())
-    env.events = {"harness": Harness(env, scale=0.7), "push": object()}
+    env.events = {"harness": Harness(env), "push": object()}
+    env.events["harness"].strictness = torch.tensor(0.3)
     assert VaryCommands(env).step(env).item() == pytest.approx(0.3)
     assert env.commands.variety.item() == pytest.approx(0.3)
     with pytest.raises(UserError, match="event 'push' is not a Harness"):
