@@ -658,7 +658,8 @@ def test_harness_and_levels_come_back_from_a_state_and_all_envs_start_on_their_t
     env = make_stage1(8, few_tiles)
     level = torch.tensor([0, 1, 2, 1, 2, 0, 2, 1])
     env.tiles.set_level(level)
-    env.curriculum.load_state_dict({"harness": {"scale": 0.0, "falls": 0.01, "speed": 0.8}})
+    harness = {"scale": 0.0, "strictness": 0.4, "falls": 0.01, "speed": 0.8}
+    env.curriculum.load_state_dict({"harness": harness})
     file = io.BytesIO()
     torch.save(env.state_dict(), file)
     file.seek(0)
@@ -671,7 +672,7 @@ def test_harness_and_levels_come_back_from_a_state_and_all_envs_start_on_their_t
         other.load_state_dict(state)
         assert other.tiles.level.equal(expected)
         assert other.events["harness"].scale == 0.0
-        assert other.curriculum.state_dict()["harness"] == pytest.approx({"scale": 0.0, "falls": 0.01, "speed": 0.8})
+        assert other.curriculum.state_dict()["harness"] == pytest.approx(harness)
         assert other.episode_length_buf.count_nonzero() == 0
         place = other.sim.state("qpos")[:, 0] - other.tiles.origin_w[:, 0]
         assert ((place - other.tiles.spawn_x).abs() < 0.16).all()
