@@ -142,19 +142,28 @@ def _fsync(folder: Path) -> None:
             os.close(handle)
 
 
-def _is_free(path: Path) -> bool:
-    """True if no process holds the lock on a file or folder of this user."""
-    try:
-        handle = os.open(path, os.O_RDONLY)
-    except OSError:
-        return False
+def is_locked(path: Path) -> bool:
+    """True if a process holds the lock on a file or folder.
+
+    Raises:
+        OSError: If it cannot be opened.
+    """
+    handle = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        return False
+        return True
     finally:
         os.close(handle)
-    return True
+    return False
+
+
+def _is_free(path: Path) -> bool:
+    """True if no process holds the lock on a file or folder of this user."""
+    try:
+        return not is_locked(path)
+    except OSError:
+        return False
 
 
 def _is_of_the_system(error: BaseException) -> bool:

@@ -23,7 +23,7 @@ from humoslope.campaign.file import OWN_OF_TRAINING, Campaign
 from humoslope.campaign.plan import CALIBRATE, TRAIN, Job, Plan
 from humoslope.errors import UserError
 from humoslope.evaluation.report.results import CAMPAIGN
-from humoslope.files import write_bytes
+from humoslope.files import is_locked, write_bytes
 from humoslope.learning.logger import read_line
 from humoslope.learning.run_folder import saved_options, start_of
 from humoslope.seal import read_json
@@ -174,16 +174,9 @@ def clear_abandoned(folder: Path) -> None:
 def in_use(folder: Path) -> bool:
     """True if a training, or another campaign, holds a folder."""
     try:
-        handle = os.open(folder, os.O_RDONLY)
+        return is_locked(folder)
     except OSError:
         return False
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    finally:
-        os.close(handle)
-    return False
 
 
 @contextmanager

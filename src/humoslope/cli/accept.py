@@ -12,14 +12,12 @@ import tyro
 from rich.console import Console
 
 from humoslope.cli.arguments import parse_options
-from humoslope.cli.margins import trials_progress
-from humoslope.cpu import usable_cores
+from humoslope.cli.margins import run_trials
 from humoslope.deploy.conditions import NOMINAL
 from humoslope.errors import UserError
 from humoslope.evaluation.margins.acceptance import Acceptance, table
 from humoslope.evaluation.margins.demands import Name
 from humoslope.files import check_place
-from humoslope.interrupts import Terminated, deferred_interrupts
 from humoslope.ranges import Checked, Count, NotEmpty, Range, Seed
 from humoslope.seal import write_json
 
@@ -72,13 +70,7 @@ def run(arguments: list[str]) -> None:
         store_path,
     )
     check_place(json_path)
-    if len(acceptance.store):
-        console.print(f"continues with {len(acceptance.store)} trials that were finished before")
-    with deferred_interrupts() as interrupt, trials_progress(console) as update:
-        finished = acceptance.run(interrupt, options.processes or usable_cores(), update)
-    if not finished:
-        console.print(f"Finished trials are kept in {store_path}; the same command continues.", soft_wrap=True)
-        raise Terminated(interrupt.number)
+    run_trials(console, acceptance.store, acceptance.run, store_path, options.processes)
     report = acceptance.report()
     report["command_line"] = shlex.join(["humoslope", "accept", *arguments])
     write_json(json_path, report)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, ClassVar, get_args
 
@@ -22,9 +21,10 @@ from humoslope.evaluation.margins import show
 from humoslope.evaluation.margins.quantities import Name, Success
 from humoslope.evaluation.margins.run import Certificate
 from humoslope.evaluation.margins.search import Rule
+from humoslope.evaluation.margins.trials import TrialStore
 from humoslope.extras import MATPLOTLIB, installed, missing
 from humoslope.files import check_place
-from humoslope.interrupts import Terminated, deferred_interrupts
+from humoslope.interrupts import Interrupt, Terminated, deferred_interrupts
 from humoslope.ranges import Checked, NotEmpty, Positive, Range, Seed
 from humoslope.seal import write_json
 
@@ -84,13 +84,7 @@ def run(arguments: list[str]) -> None:
         options.folder, nominal, options.quantities, options.rule, options.success, options.model, store_path
     )
     check_place(json_path)
-    if len(certificate.store):
-        console.print(f"continues with {len(certificate.store)} trials that were finished before")
-    with deferred_interrupts() as interrupt, trials_progress(console) as update:
-        finished = certificate.run(interrupt, options.processes or usable_cores(), update)
-    if not finished:
-        console.print(f"Finished trials are kept in {store_path}; the same command continues.", soft_wrap=True)
-        raise Terminated(interrupt.number)
+    run_trials(console, certificate.store, certificate.run, store_path, options.processes)
     report = certificate.report()
     report["command_line"] = shlex.join(["humoslope", "margins", *arguments])
     write_json(json_path, report)
@@ -102,10 +96,34 @@ def run(arguments: list[str]) -> None:
         console.print(f"wrote {json_path}\n{missing('its picture', MATPLOTLIB)}", soft_wrap=True)
 
 
-@contextmanager
-def trials_progress(console: Console) -> Iterator[Callable[[int, int], None]]:
-    """Shows a bar of trials; yields a function that takes the numbers of trials done and left."""
+def run_trials(
+    console: Console,
+    store: TrialStore,
+    run: Callable[[Interrupt, int, Callable[[int, int], object]], bool],
+    store_path: Path,
+    processes: int,
+) -> None:
+    """Runs the trials that are missing, with a bar of them.
+
+    Args:
+        store: Finished trials.
+        run: `Certificate.run` or `Acceptance.run`.
+        store_path: File of the finished trials.
+        processes: Number of processes; 0 for one on each usable core.
+
+    Raises:
+        Terminated: If it was interrupted.
+    """
+    if len(store):
+        console.print(f"continues with {len(store)} trials that were finished before")
     columns = (TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    with deferred_interrupts() as interrupt, Progress(*columns, console=console, transient=True) as progress:
         bar = progress.add_task("", total=None)
-        yield lambda done, left: progress.update(bar, completed=done, total=done + left)
+        finished = run(
+            interrupt,
+            processes or usable_cores(),
+            lambda done, left: progress.update(bar, completed=done, total=done + left),
+        )
+    if not finished:
+        console.print(f"Finished trials are kept in {store_path}; the same command continues.", soft_wrap=True)
+        raise Terminated(interrupt.number)

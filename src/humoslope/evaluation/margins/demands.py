@@ -7,16 +7,14 @@ this project's own: they say what an owner of the robot would want to see before
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Literal
 
-import numpy as np
-
 from humoslope.deploy.gait import Gait
 from humoslope.deploy.player import Trial, TrialCfg
-from humoslope.evaluation.margins.trials import Setup
+from humoslope.evaluation.margins.trials import Setup, disturbances, random_tilt
 
 Name = Literal[
     "self-contact", "stand-creep", "stand-steps", "stand-falls", "speed", "falls", "sideways", "backward", "turning",
@@ -46,8 +44,7 @@ class Case:
         """Returns the setup of a trial."""
         if not self.imu_tilt:
             return self.setup
-        axis = np.random.default_rng((self.setup.cfg.seed, number, 1)).uniform(-math.pi, math.pi)
-        tilt = (self.imu_tilt * math.cos(axis), self.imu_tilt * math.sin(axis))
+        tilt = random_tilt(self.imu_tilt, disturbances(self.setup.cfg.seed, number))
         return self.setup._replace(conditions=replace(self.setup.conditions, imu_tilt_rad=tilt))
 
 
@@ -136,25 +133,22 @@ def demands(seconds: float, seed: int) -> dict[Name, Demand]:
         """The case of another command or course."""
         return Case(words, usual._replace(cfg=replace(usual.cfg, **changes)))  # type: ignore[arg-type]
 
-    def over(cases: Iterable[Case]) -> tuple[Case, ...]:
-        return tuple(cases)
-
     def steps(*timesteps: float) -> tuple[Case, ...]:
-        return over(on(g, f"{1e3 * t:g} ms", timestep_s=t) for t, g in product(timesteps, GRADES))
+        return tuple(on(g, f"{1e3 * t:g} ms", timestep_s=t) for t, g in product(timesteps, GRADES))
 
-    late = over(on(g, f"{1e3 * d:g} ms late", delay_s=d) for d, g in product((0.01, 0.02, 0.03), GRADES))
-    strong = over(on(g, f"strength {s:g}", strength=s) for s, g in product((0.8, 1.2), GRADES))
-    loaded = over(on(g, "8 kg", load_kg=8.0) for g in GRADES)
-    pushed = over(on(g, "pushed by 1 m/s", push_m_s=1.0) for g in GRADES)
-    tilted = over(replace(on(g, "IMU tilted by 4°"), imu_tilt=math.radians(4.0)) for g in GRADES)
+    late = tuple(on(g, f"{1e3 * d:g} ms late", delay_s=d) for d, g in product((0.01, 0.02, 0.03), GRADES))
+    strong = tuple(on(g, f"strength {s:g}", strength=s) for s, g in product((0.8, 1.2), GRADES))
+    loaded = tuple(on(g, "8 kg", load_kg=8.0) for g in GRADES)
+    pushed = tuple(on(g, "pushed by 1 m/s", push_m_s=1.0) for g in GRADES)
+    tilted = tuple(replace(on(g, "IMU tilted by 4°"), imu_tilt=math.radians(4.0)) for g in GRADES)
     walks = (*steps(0.0005, 0.001, 0.002, 0.005, 0.01), *late, *strong, *loaded)
-    stands = over(asked(f"{g:g}°", grade=g, speed=0.0) for g in (-20.0, -10.0, 0.0, 10.0, 20.0))
-    sideways = over(
+    stands = tuple(asked(f"{g:g}°", grade=g, speed=0.0) for g in (-20.0, -10.0, 0.0, 10.0, 20.0))
+    sideways = tuple(
         asked(f"{g:g}°, {v:g} m/s", grade=g, speed=0.0, lateral=v) for g, v in product((0.0, 10.0), (0.3, -0.3))
     )
-    backward = over(asked(f"{g:g}°", grade=g, speed=-0.3) for g in (0.0, 10.0))
-    turning = over(asked(f"{rate:g} rad/s", yaw_rate=rate) for rate in (0.6, -0.6))
-    across = {g: over(asked(f"{c:g}°", cross=c) for c in (g, -g)) for g in (20.0, 30.0)}
+    backward = tuple(asked(f"{g:g}°", grade=g, speed=-0.3) for g in (0.0, 10.0))
+    turning = tuple(asked(f"{rate:g} rad/s", yaw_rate=rate) for rate in (0.6, -0.6))
+    across = {g: tuple(asked(f"{c:g}°", cross=c) for c in (g, -g)) for g in (20.0, 30.0)}
     flat, none = (on(0.0),), -math.inf
     return {
         "self-contact": Demand(

@@ -11,7 +11,7 @@ import numpy as np
 
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.player import Trial, TrialCfg
-from humoslope.evaluation.margins.trials import Setup
+from humoslope.evaluation.margins.trials import Setup, random_tilt
 from humoslope.ranges import Checked, NotNegative
 
 Name = Literal[
@@ -56,8 +56,7 @@ def quantities(contract: Contract, nominal: TrialCfg) -> dict[Name, Quantity]:
         return setup._replace(cfg=replace(setup.cfg, **changes))  # type: ignore[arg-type]
 
     def tilt(s: Setup, value: float, _: int, rng: np.random.Generator) -> Setup:
-        axis, angle = rng.uniform(-math.pi, math.pi), math.radians(value)
-        return conditions(s, imu_tilt_rad=(angle * math.cos(axis), angle * math.sin(axis)))
+        return conditions(s, imu_tilt_rad=random_tilt(math.radians(value), rng))
 
     def bias(s: Setup, value: float, _: int, rng: np.random.Generator) -> Setup:
         return conditions(s, encoder_bias_rad=tuple(value * rng.uniform(-1.0, 1.0, joints)))

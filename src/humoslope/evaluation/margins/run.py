@@ -16,7 +16,7 @@ from humoslope.deploy.player import Player, Trial, TrialCfg
 from humoslope.errors import UserError
 from humoslope.evaluation.margins.quantities import Name, Quantity, Success, quantities
 from humoslope.evaluation.margins.search import FIRST_LOOK, Rule, Search
-from humoslope.evaluation.margins.trials import Job, Key, Setup, TrialRunner, TrialStore, fingerprint
+from humoslope.evaluation.margins.trials import Job, Key, Setup, TrialRunner, TrialStore, disturbances, fingerprint
 from humoslope.interrupts import Interrupt
 
 NOMINAL = "nominal"
@@ -92,7 +92,6 @@ class Certificate:
         self.found = {name: Found(Search(len(q.grid))) for name, q in self.quantities.items()}
         self.reference: Series | None = None
         self.store = TrialStore(store_path, fingerprint(folder, model, asdict(nominal) | {"trials": None}))
-        self._successes: dict[Key, bool] = {}
 
     def setup(self, key: Key) -> Setup:
         """Returns the setup of a trial."""
@@ -100,7 +99,7 @@ class Certificate:
         nominal = Setup(self._nominal)
         if name == NOMINAL:
             return nominal
-        rng = np.random.default_rng((self._nominal.seed, trial, 1))
+        rng = disturbances(self._nominal.seed, trial)
         return self.quantities[name].setup(nominal, value, trial, rng)  # type: ignore[index]
 
     def run(

@@ -63,6 +63,17 @@ def run_job(job: Job) -> Trial:
     return player.run_trial(np.random.default_rng((job.setup.cfg.seed, job.trial)))
 
 
+def disturbances(seed: int, trial: int) -> np.random.Generator:
+    """Random numbers of what disturbs a trial, apart from those of its start."""
+    return np.random.default_rng((seed, trial, 1))
+
+
+def random_tilt(angle: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Rotation vector by `angle`, rad, about a random horizontal axis; see `Conditions.imu_tilt_rad`."""
+    axis = rng.uniform(-math.pi, math.pi)
+    return angle * math.cos(axis), angle * math.sin(axis)
+
+
 def fingerprint(folder: Path, model: Path | None, asked: object) -> str:
     """Hash of all that decides the outcome of a trial beyond its key.
 

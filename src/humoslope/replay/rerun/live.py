@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from humoslope.interrupts import die_with_parent
 from humoslope.replay.rerun import colours
 from humoslope.replay.rerun.layout import EYE
-from humoslope.replay.rerun.scene import OVERHEAD
+from humoslope.replay.rerun.scene import OVERHEAD, mesh
 from humoslope.replay.rerun.viewer import check_ports, program, wait_for_page
 from humoslope.replay.robot import RobotShape
 from humoslope.replay.shapes import Shape, joined, surface
@@ -135,7 +135,7 @@ class LiveView:
         self._recording.send_blueprint(rrb.Blueprint(whole, panel, collapse_panels=True))
         self._recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for link, shape in self._robot.shapes.items():
-            self._recording.log(f"world/robot/{link}", _mesh(shape), static=True)
+            self._recording.log(f"world/robot/{link}", mesh(shape), static=True)
 
     def _send(self) -> None:
         """Sends the present moment. Waits for the device."""
@@ -150,7 +150,7 @@ class LiveView:
         root, quat, joints, velocity, command, origins, heading = np.split(whole, np.cumsum(widths)[:-1], axis=1)
         recording.set_time(TIME, duration=self._step * env.step_dt)
         if self._origins is None or not np.array_equal(self._origins, origins):
-            recording.log("world/ground", _mesh(self._ground(origins)))
+            recording.log("world/ground", mesh(self._ground(origins)))
             self._origins = origins
         poses = self._robot.poses_of(env.robot.root_body, env.robot.joint_names, root, quat, joints)
         for link in self._robot.shapes:
@@ -252,12 +252,3 @@ def live_view(env: Env, worlds: int, web_port: int, port: int, title: str) -> It
 def _place(title: str) -> str:
     """Entity of a curve."""
     return f"curves/{title.replace(' ', '_')}"
-
-
-def _mesh(shape: Shape) -> rr.Mesh3D:
-    return rr.Mesh3D(
-        vertex_positions=shape.vertices,
-        vertex_normals=shape.normals,
-        triangle_indices=shape.triangles,
-        vertex_colors=shape.colours,
-    )

@@ -65,7 +65,7 @@ class Scene:
     def log(self) -> None:
         """Writes everything in the 3D view, and the events."""
         self._static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        self._static("world/ground", _mesh(ground_shape(self._rollout)))
+        self._static("world/ground", mesh(ground_shape(self._rollout)))
         self._log_robot()
         self._log_velocity()
         self._log_support()
@@ -82,7 +82,7 @@ class Scene:
     def _log_robot(self) -> None:
         poses = self._robot.poses(self._rollout)
         for link, shape in self._robot.shapes.items():
-            self._static(f"world/robot/{link}", _mesh(shape))
+            self._static(f"world/robot/{link}", mesh(shape))
             self._moves(f"world/robot/{link}", poses[link].position, poses[link].rotation)
 
     def _log_velocity(self) -> None:
@@ -206,7 +206,8 @@ class Scene:
         self._columns(path, rr.LineStrips3D.columns(strips=ends[shown]).partition(shown.astype(np.int32)))
 
 
-def _mesh(shape: Shape) -> rr.Mesh3D:
+def mesh(shape: Shape) -> rr.Mesh3D:
+    """A shape as rerun draws it."""
     return rr.Mesh3D(
         vertex_positions=shape.vertices,
         vertex_normals=shape.normals,
