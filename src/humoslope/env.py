@@ -158,16 +158,8 @@ def _bytes_per_env(cfg: EnvCfg) -> float:
     return BYTES_PER_ENV + history + delayed + scanned
 
 
-def _functions(cfg: EnvCfg) -> list[Any]:
-    """Functions and classes of all terms."""
-    groups = [group.terms for group in cfg.observations.values()]
-    sets: tuple[Terms[Any], ...] = (*groups, cfg.rewards, cfg.terminations, cfg.events, cfg.curriculum, cfg.observers)
-    return [cfg.command, *(term.func for terms in sets for term in terms.values())]
-
-
-def _check_terms(cfg: EnvCfg) -> None:
-    """Checks the parameters of every term against their ranges, as `bind` does again with the environment at hand: a
-    wrong one is not worth the seconds in which a terrain is drawn."""
+def _terms(cfg: EnvCfg) -> list[tuple[str, str, TermCfg]]:
+    """Kind, name and configuration of every term."""
     kinds: dict[str, Mapping[str, TermCfg]] = {
         "reward": cfg.rewards,
         "termination": cfg.terminations,
@@ -177,7 +169,13 @@ def _check_terms(cfg: EnvCfg) -> None:
     }
     named = [(kind, name, term) for kind, terms in kinds.items() for name, term in terms.items()]
     named += [("observation", name, term) for group in cfg.observations.values() for name, term in group.terms.items()]
-    for kind, name, term in named:
+    return named
+
+
+def _check_terms(cfg: EnvCfg) -> None:
+    """Checks the parameters of every term against their ranges, as `bind` does again with the environment at hand: a
+    wrong one is not worth the seconds in which a terrain is drawn."""
+    for kind, name, term in _terms(cfg):
         check_params(f"{kind} '{name}'", term.func, term.params)
 
 
@@ -252,7 +250,7 @@ class ManagerBasedRlEnv:
         self.start_root_pos_w = self.zeros(3)
         self._keeps_terminal_observations = False
 
-        self.bodies = Bodies(self.sim, _functions(cfg))
+        self.bodies = Bodies(self.sim, [cfg.command, *(term.func for _, _, term in _terms(cfg))])
         self.commands = cfg.command.build(self)
         self.actions = ActionManager(self, cfg.actions)
         self.events = EventManager(self, cfg.events)
