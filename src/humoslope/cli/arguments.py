@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from functools import partial
+from functools import cache, partial
 from typing import Any, TypeVar, get_type_hints
 
 import docstring_parser
 import tyro
+from docstring_parser import Docstring
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from humoslope.ranges import Checked, hints_of, in_words
@@ -31,7 +32,7 @@ def parse_options(kind: type[O], arguments: list[str], verb: str, default: O | N
     registry = ConstructorRegistry()
     registry.struct_rule(checked)
     given: dict[str, Any] = {} if default is None else {"default": default}
-    about = docstring_parser.parse(kind.__doc__ or "")
+    about = docstring(kind.__doc__ or "")
     words = "\n\n".join(filter(None, (about.short_description, about.long_description)))
     return tyro.cli(kind, args=arguments, prog=f"humoslope {verb}", description=words, registry=registry, **given)
 
@@ -41,7 +42,7 @@ def checked(info: StructTypeInfo) -> StructConstructorSpec | None:
     kind: Any = info.type
     if not inspect.isclass(kind) or not issubclass(kind, Checked) or not dataclasses.is_dataclass(kind):
         return None
-    hints, fields = get_type_hints(kind, include_extras=True), []
+    hints, fields = _declared(kind), []
     for field in dataclasses.fields(kind):
         if not field.init:
             continue
@@ -55,7 +56,19 @@ def checked(info: StructTypeInfo) -> StructConstructorSpec | None:
     return StructConstructorSpec(kind, tuple(fields))
 
 
-# Docstrings are read for the help alone, which tyro asks for when it prints it.
+# Docstrings are read for the help alone, which tyro asks for when it prints an option, or lists a group of them.
+
+
+@cache
+def docstring(text: str) -> Docstring:
+    """The parts of a docstring. Kept, because reading it takes longer than all else that is done for an option."""
+    return docstring_parser.parse(text)
+
+
+@cache
+def _declared(kind: type) -> dict[str, Any]:
+    """Type hints of a dataclass's fields with their ranges."""
+    return get_type_hints(kind, include_extras=True)
 
 
 def help_of(subject: Any, name: str) -> str:
@@ -67,7 +80,7 @@ def help_of(subject: Any, name: str) -> str:
 def _described(subject: Any, name: str) -> str:
     """Description of a parameter or attribute in the docstring of a function or class, or of the class's bases."""
     for one in inspect.getmro(subject) if inspect.isclass(subject) else (subject,):
-        for entry in docstring_parser.parse(one.__doc__ or "").params:
+        for entry in docstring(one.__doc__ or "").params:
             if name in entry.arg_name.split(", "):  # "along, across: Offset from ..., m."
                 return " ".join((entry.description or "").split())
     return ""

@@ -9,15 +9,14 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cache, partial
 from types import SimpleNamespace
 from typing import Annotated, Any, get_type_hints
 
-import docstring_parser
 from tyro.conf import Fixed
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
-from humoslope.cli.arguments import checked, help_of
+from humoslope.cli.arguments import checked, docstring, help_of
 from humoslope.managers.terms import TermCfg, Terms
 from humoslope.scene.robot import Robot
 from humoslope.strict import StrictCfg
@@ -28,8 +27,7 @@ class _Params(dict[str, Any]):
     """Parameters of a term in the command line's eyes: its own, and the defaults of its function."""
 
     def __init__(self, term: TermCfg) -> None:
-        parameters = inspect.signature(term.func).parameters.values()
-        self.defaults = {p.name: p.default for p in parameters if p.default is not inspect.Parameter.empty}
+        self.defaults = _defaults_of(term.func)
         super().__init__(self.defaults | term.params)
         self.func, self.set = term.func, term.params
 
@@ -57,7 +55,7 @@ def _term(info: StructTypeInfo) -> StructConstructorSpec | None:
     if not isinstance(info.default, TermCfg):
         return None
     term, kind = info.default, type(info.default)
-    hints, own = get_type_hints(kind), [f.name for f in dataclasses.fields(kind) if f.name not in ("func", "params")]
+    hints, own = _hints_of(kind), [f.name for f in dataclasses.fields(kind) if f.name not in ("func", "params")]
     fields = [StructFieldSpec(name, hints[name], getattr(term, name), partial(help_of, kind, name)) for name in own]
     fields.append(StructFieldSpec("params", _Params, _Params(term), ""))
     return StructConstructorSpec(partial(dataclasses.replace, term), tuple(fields))
@@ -88,7 +86,7 @@ def _config(info: StructTypeInfo) -> StructConstructorSpec | None:
     if not isinstance(info.default, StrictCfg | TerrainGridCfg) or isinstance(info.default, TermCfg):
         return None
     cfg: Any = info.default
-    hints, values = get_type_hints(type(cfg)), {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
+    hints, values = _hints_of(type(cfg)), {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
     fields = []
     for name, value in values.items():
         kind = type(value) if dataclasses.is_dataclass(value) else hints[name]
@@ -98,19 +96,40 @@ def _config(info: StructTypeInfo) -> StructConstructorSpec | None:
 
 def _parameter_type(func: Callable[..., Any], name: str, value: Any) -> Any:
     """Annotated type of a parameter of `func`, or else the type of its value."""
+    annotated = _annotated_type(func, name)
+    if annotated is None:
+        return Annotated[Any, Fixed] if value is None else type(value)
+    return annotated
+
+
+# What tyro asks for twice an option, and again with every command line, never changes.
+
+
+@cache
+def _annotated_type(func: Callable[..., Any], name: str) -> Any:
+    """Annotated type of a parameter of `func`; None if it has none, or one that is imported for type checking alone."""
     function: Any = func.__init__ if inspect.isclass(func) else func
     annotations = {k: v for k, v in function.__annotations__.items() if k == name}
     try:
-        # One by one: others may be imported for type checking alone.
         return get_type_hints(SimpleNamespace(__annotations__=annotations), function.__globals__)[name]
     except (KeyError, NameError):
-        return Annotated[Any, Fixed] if value is None else type(value)
+        return None
 
 
-# Docstrings are read for the help alone, which tyro asks for when it prints it.
+@cache
+def _defaults_of(func: Callable[..., Any]) -> dict[str, Any]:
+    """Defaults of the parameters of `func`; not to be written into."""
+    parameters = inspect.signature(func).parameters.values()
+    return {p.name: p.default for p in parameters if p.default is not inspect.Parameter.empty}
+
+
+@cache
+def _hints_of(kind: type) -> dict[str, Any]:
+    """Type hints of a dataclass's fields."""
+    return get_type_hints(kind)
 
 
 def _summary(thing: Any) -> str:
     """First lines of the docstring of a term's function, or of a group's class."""
     subject = thing.func if isinstance(thing, TermCfg) else type(thing)
-    return docstring_parser.parse(subject.__doc__ or "").short_description or ""
+    return docstring(subject.__doc__ or "").short_description or ""
