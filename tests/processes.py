@@ -10,13 +10,14 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-LIBRARIES = ("mujoco", "rich.progress", "rsl_rl.runners", "scipy.special", "tensordict", "torch", "tyro")
+LIBRARIES = ("mujoco", "onnxruntime", "rich.progress", "rsl_rl.runners", "scipy.special", "tensordict", "torch", "tyro")
 OUT, ERR = "stdout", "stderr"
 
 
@@ -33,6 +34,7 @@ class Running:
 
     def __init__(self, process: ForkServerProcess, output: TemporaryDirectory[str]) -> None:
         self._process, self._output = process, output
+        self._heard = 0  # lines of its standard output that were waited for
 
     @property
     def pid(self) -> int:
@@ -42,6 +44,29 @@ class Running:
     def poll(self) -> int | None:
         """The exit code, or None while it runs."""
         return self._process.exitcode
+
+    def send(self, number: signal.Signals) -> None:
+        """Sends it a signal."""
+        os.kill(self.pid, number)
+
+    def wait_for(self, word: str, patience_s: float) -> str:
+        """Waits for a line of its standard output, after those that were waited for before, that has the word.
+
+        Raises:
+            AssertionError: If it ends without such a line, or says none in time; it is ended then.
+        """
+        end, said = time.monotonic() + patience_s, Path(self._output.name, OUT)
+        while True:
+            ended = self.poll() is not None
+            for line in said.read_text(encoding="utf-8").splitlines(keepends=True)[self._heard :]:
+                if not line.endswith("\n"):
+                    break
+                self._heard += 1
+                if word in line:
+                    return line
+            if ended or time.monotonic() > end:
+                raise AssertionError(f"'{word}' was not said; {self.wait(0.0)}")
+            time.sleep(0.02)
 
     def wait(self, patience_s: float | None = None) -> Ended:
         """Waits for its end, and kills it after `patience_s`."""

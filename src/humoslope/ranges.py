@@ -179,7 +179,7 @@ def check_params(where: str, func: Callable[..., Any], params: Mapping[str, Any]
         UserError: At the first one that is not acceptable.
     """
     hints = hints_of(func)
-    for name, parameter in inspect.signature(func).parameters.items():
+    for name, parameter in parameters_of(func).items():
         value = params.get(name, parameter.default)
         if value is not inspect.Parameter.empty:
             check(where, name, value, hints.get(name), env)
@@ -239,6 +239,12 @@ def in_words(hint: Any) -> str:
     return ""
 
 
+@cache
+def parameters_of(func: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
+    """Parameters of a function or class by name. Kept: an environment asks for those of every term, twice."""
+    return inspect.signature(func).parameters
+
+
 def hints_of(thing: Callable[..., Any]) -> dict[str, Any]:
     """Type hints of a function's or class's parameters, or of a dataclass's fields, with their declarations.
 
@@ -293,11 +299,17 @@ def _faults(value: Any, hint: Any, env: Any) -> list[str]:
 
 
 def _declared_faults(value: Any, base: Any, metadata: tuple[Any, ...], env: Any) -> list[str]:
-    declarations = [part for part in metadata if isinstance(part, Declaration)]
+    declarations = [part for part in metadata if _judges(type(part))]
     several = get_origin(base) is tuple
     found = _wrong_type(value, base) if base is int or (several and get_args(base)[-1] is ...) else []
     found = found or [said for one in declarations if (said := one.fault(value, env)) is not None]
     return found or (_faults(value, base, env) if several or not declarations else [])
+
+
+@cache
+def _judges(kind: type) -> bool:
+    """Whether it is a `Declaration`, which Python finds out slowly."""
+    return issubclass(kind, Declaration)
 
 
 def _wrong_type(value: Any, hint: Any) -> list[str]:

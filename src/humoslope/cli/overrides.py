@@ -18,6 +18,7 @@ from tyro.constructors import ConstructorRegistry, StructConstructorSpec, Struct
 
 from humoslope.cli.arguments import checked, docstring, help_of
 from humoslope.managers.terms import TermCfg, Terms
+from humoslope.ranges import parameters_of
 from humoslope.scene.robot import Robot
 from humoslope.strict import StrictCfg
 from humoslope.terrain.grid import TerrainGridCfg
@@ -119,7 +120,7 @@ def _annotated_type(func: Callable[..., Any], name: str) -> Any:
 @cache
 def _defaults_of(func: Callable[..., Any]) -> dict[str, Any]:
     """Defaults of the parameters of `func`; not to be written into."""
-    parameters = inspect.signature(func).parameters.values()
+    parameters = parameters_of(func).values()
     return {p.name: p.default for p in parameters if p.default is not inspect.Parameter.empty}
 
 

@@ -126,7 +126,7 @@ def first_value(kind: str, name: str, call: Callable[..., Any], env: Env) -> Ten
 
 def _check_params(where: str, term: TermCfg, env: Env, implicit: tuple[str, ...]) -> None:
     func, params = term.func, term.params
-    signature = inspect.signature(func).parameters
+    signature = ranges.parameters_of(func)
     accepted = {name for name in signature if name not in implicit}
     for name in params:
         if name not in accepted:

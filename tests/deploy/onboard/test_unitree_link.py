@@ -11,24 +11,27 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from humoslope.cli import main
 from humoslope.deploy.contract import Contract
-from humoslope.deploy.onboard.messages import Reading, Remote
+from humoslope.deploy.onboard.messages import Command, Reading, Remote
 from humoslope.deploy.onboard.pace import pace_on
+from humoslope.deploy.onboard.simulated import SimulatedRobot
 from humoslope.deploy.onboard.unitree_link import UnitreeRobot, open_interface
 from humoslope.errors import UserError
 from humoslope.replay.rollout import load_rollout
+from tests import processes
+from tests.deploy.onboard.conftest import SCRIPT
+from tests.processes import Running
 
 needs_sdk = pytest.mark.skipif(find_spec("unitree_interface") is None, reason="needs the extra [robot]")
 LONG_S = 120.0
@@ -81,9 +84,6 @@ def test_bad_input_gets_one_sentence(
     assert found.count("\n") == 1
 
 
-VERB = [sys.executable, "-c", "import sys; from humoslope.cli import main; sys.exit(main())"]
-
-
 def test_an_export_with_another_network_is_refused(spoil: Callable[..., Path]) -> None:
     folder = spoil()
     network = folder / "exported" / "policy.onnx"
@@ -101,38 +101,29 @@ def tag() -> str:
 
 
 @pytest.fixture
-def start(exported: Path, tag: str) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+def start(exported: Path, tag: str) -> Iterator[Callable[..., Running]]:
     """start("robot", "--grade", "20"): the verb as a process on the loopback interface, ended after the test."""
-    running: list[subprocess.Popen[str]] = []
+    running: list[Running] = []
 
-    def make(verb: str, *arguments: str) -> subprocess.Popen[str]:
-        command = [*VERB, verb, str(exported), "--interface", "lo", "--tag", tag, "--slower", "4", *arguments]
-        running.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+    def make(verb: str, *arguments: str, prepare: Callable[[], object] | None = None) -> Running:
+        given = (verb, str(exported), "--interface", "lo", "--tag", tag, *arguments)
+        running.append(processes.start(*given, prepare=prepare))
         return running[-1]
 
     yield make
     for process in running:
         if process.poll() is None:
-            process.terminate()
-        process.communicate(timeout=LONG_S)
+            process.send(signal.SIGTERM)
+        process.wait(LONG_S)
 
 
-TOLERANT = ("--limit.silent-s", "2", "--limit.missed-ticks", "50")
+WALKS, HANGS = ("--slower", "4"), ("--slower", "2")
+"""A robot that walks feels how late its commands are; one that hangs from the gantry does not."""
+TOLERANT = {
+    WALKS: ("--limit.silent-s", "2", "--limit.missed-ticks", "50"),
+    HANGS: ("--limit.silent-s", "4", "--limit.missed-ticks", "100"),
+}
 """For machines that are busy: the times are tested without processes."""
-
-
-def wait_for(process: subprocess.Popen[str], word: str) -> str:
-    """Reads lines of a process until one has the word; ends the process if none does in time."""
-    assert process.stdout is not None
-    impatience = threading.Timer(LONG_S, process.kill)
-    impatience.start()
-    try:
-        for line in process.stdout:
-            if word in line:
-                return line
-    finally:
-        impatience.cancel()
-    raise AssertionError(f"'{word}' was not said; {process.stderr.read() if process.stderr else ''}")
 
 
 @needs_sdk
@@ -197,17 +188,17 @@ while True:
 
 
 @needs_sdk
-def test_two_processes_start_walk_and_stop(start: Callable[..., Any], tmp_path: Path) -> None:
+def test_two_processes_start_walk_and_stop(start: Callable[..., Running], tmp_path: Path) -> None:
     out, walk = tmp_path / "robot.json", tmp_path / "walk.npz"
-    robot = start("robot", "--script", "1:start 4.2:lower 6:A 6:forward=0.6 6.3:release 9:select", "--out", str(out))
-    wait_for(robot, "simulated")
-    deploy = start("deploy", "--out", str(walk), "--hold-heading", *TOLERANT)
+    robot = start("robot", *WALKS, "--script", f"{SCRIPT} 8:select", "--out", str(out))
+    robot.wait_for("simulated", LONG_S)
+    deploy = start("deploy", *WALKS, "--out", str(walk), "--hold-heading", *TOLERANT[WALKS])
     for word in ("zero torque", "move", "hold", "walk", "damping: stop was asked for", "wrote"):
-        wait_for(deploy, word)
-    assert deploy.wait(timeout=LONG_S) == 0
-    wait_for(robot, "motors damped")
-    robot.terminate()
-    robot.wait(timeout=LONG_S)
+        deploy.wait_for(word, LONG_S)
+    assert deploy.wait(LONG_S).returncode == 0
+    robot.wait_for("motors damped", LONG_S)
+    robot.send(signal.SIGTERM)
+    robot.wait(LONG_S)
     happened = json.loads(out.read_text())
     assert [event["motors"] for event in happened["events"]] == ["limp", "held", "damped"]
     assert happened["events"][-1]["x"] > 0.5
@@ -215,35 +206,49 @@ def test_two_processes_start_walk_and_stop(start: Callable[..., Any], tmp_path: 
     assert rollout.columns.root_pos_w[-1, 0] > 0.5
 
 
+NEVER_S = 1000.0
+
+
+def silent_once_held() -> None:
+    """Lets a robot that would fall silent only at `NEVER_S` do so half a second after its motors are first held."""
+    own = SimulatedRobot.receive
+
+    def receive(self: SimulatedRobot, command: Command) -> None:
+        own(self, command)
+        if self.held and self.faults.silent_at_s == NEVER_S:
+            self.faults = replace(self.faults, silent_at_s=self.time + 0.5)
+
+    SimulatedRobot.receive = receive  # type: ignore[method-assign]
+
+
 @needs_sdk
 @pytest.mark.parametrize("ending", ["terminated", "killed", "guardian", "silent"])
-def test_whatever_ends_the_program_the_robot_is_damped(start: Callable[..., Any], tmp_path: Path, ending: str) -> None:
-    fault = ("--fault.silent-at-s", "12") if ending == "silent" else ()
-    robot = start("robot", "--script", "1:start", *fault)
-    wait_for(robot, "simulated")
-    deploy = start("deploy", "--out", str(tmp_path / "walk.npz"), *TOLERANT)
-    wait_for(deploy, "move")
-    wait_for(robot, "motors held")
+def test_whatever_ends_the_program_the_robot_is_damped(
+    start: Callable[..., Running], tmp_path: Path, ending: str
+) -> None:
+    fault = ("--fault.silent-at-s", str(NEVER_S)) if ending == "silent" else ()
+    prepare = silent_once_held if ending == "silent" else None
+    robot = start("robot", *HANGS, "--script", "0.4:start", *fault, prepare=prepare)
+    robot.wait_for("simulated", LONG_S)
+    deploy = start("deploy", *HANGS, "--out", str(tmp_path / "walk.npz"), *TOLERANT[HANGS])
+    deploy.wait_for("move", LONG_S)
+    robot.wait_for("motors held", LONG_S)
     if ending == "terminated":
-        deploy.terminate()
+        a_second_program_does_not_join_in(start, tmp_path / "second.npz")
+        deploy.send(signal.SIGTERM)
     elif ending == "killed":
-        deploy.kill()
+        deploy.send(signal.SIGKILL)
     elif ending == "guardian":
         children = Path(f"/proc/{deploy.pid}/task/{deploy.pid}/children").read_text().split()
         os.kill(int(children[0]), signal.SIGKILL)
-    wait_for(robot, "motors damped")
-    code = deploy.wait(timeout=LONG_S)
+    robot.wait_for("motors damped", LONG_S)
+    code = deploy.wait(LONG_S).returncode
     assert code == {"terminated": 0, "killed": -9, "guardian": 2, "silent": 2}[ending]
 
 
-@needs_sdk
-def test_a_second_program_does_not_join_in(start: Callable[..., Any], tmp_path: Path) -> None:
-    robot = start("robot", "--script", "1:start")
-    wait_for(robot, "simulated")
-    first = start("deploy", "--out", str(tmp_path / "first.npz"), *TOLERANT)
-    wait_for(first, "move")
-    second = start("deploy", "--out", str(tmp_path / "second.npz"), *TOLERANT)
-    wait_for(second, "not yet: somebody else commands the motors; put the robot into debug mode")
-    second.terminate()
-    assert second.wait(timeout=LONG_S) == 0
-    assert not (tmp_path / "second.npz").exists()
+def a_second_program_does_not_join_in(start: Callable[..., Running], out: Path) -> None:
+    second = start("deploy", *HANGS, "--out", str(out), *TOLERANT[HANGS])
+    second.wait_for("not yet: somebody else commands the motors; put the robot into debug mode", LONG_S)
+    second.send(signal.SIGTERM)
+    assert second.wait(LONG_S).returncode == 0
+    assert not out.exists()
