@@ -95,6 +95,8 @@ def start(
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(LIBRARIES))  # has an effect before the first process alone
     output = TemporaryDirectory(prefix="started-")
+    for name in (OUT, ERR):
+        Path(output.name, name).touch()
     variables = dict(os.environ) | dict(env or {})
     process = context.Process(target=_humoslope, args=(arguments, output.name, [*map(str, path)], variables, prepare))
     process.start()
@@ -114,7 +116,7 @@ def _humoslope(
     prepare: Callable[[], object] | None,
 ) -> None:
     for descriptor, name in ((1, OUT), (2, ERR)):
-        os.dup2(os.open(Path(output, name), os.O_WRONLY | os.O_CREAT), descriptor)
+        os.dup2(os.open(Path(output, name), os.O_WRONLY), descriptor)
     # As if started in the foreground: tests that run in the background would hand down an ignored SIGINT.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGTERM, signal.SIGHUP):

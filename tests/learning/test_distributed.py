@@ -13,17 +13,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from rich.console import Console
 
-from humoslope.cli.options import parse
-from humoslope.cli.train import TrainArgs
-from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.report.curve import read_curves
 from humoslope.learning import checkpoint
 from humoslope.learning.distributed import Processes, any_process, choose_device, mean_over_processes, read_processes
-from humoslope.learning.rng import seed_everything
-from humoslope.learning.trainer import Trainer
 from tests import processes
 
 PATIENCE_S = 600.0
@@ -92,29 +86,21 @@ def test_two_processes_log_once_save_once_stop_together_and_resume(task, tiny, t
     assert not list(tmp_path.glob("model_*.pt"))
 
 
-def make_trainer(task: str, tiny: list[str], processes: Processes) -> Trainer:
-    cfg, _ = parse(TrainArgs(), task, tiny)
-    seed_everything(cfg.env.seed)
-    return Trainer(task, cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True), processes)
-
-
-def test_every_rank_resumes_with_random_numbers_of_its_own(task, tiny, finished):
+def test_every_rank_resumes_with_random_numbers_of_its_own(on_shared_env, finished):
     drawn = []
     for rank in range(3):
-        cfg, _ = parse(TrainArgs(), task, tiny)
-        cfg.env.seed += rank
-        trainer = Trainer(task, cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True), Processes(rank, rank, 3))
+        trainer = on_shared_env(processes=Processes(rank, rank, 3), seed_offset=rank)
         for number in (1, 2):
             trainer.resume(finished / f"model_{number}.pt")
             drawn.append(tuple(torch.rand(4).tolist()))
     assert len(set(drawn)) == 6
     state = checkpoint.load(finished / "model_2.pt")["rng"]["torch"]
-    make_trainer(task, tiny, Processes()).resume(finished / "model_2.pt")
+    on_shared_env(processes=Processes()).resume(finished / "model_2.pt")
     assert torch.equal(torch.get_rng_state(), state)
 
 
-def test_steps_of_all_processes_are_counted(task, tiny):
-    trainer = make_trainer(task, tiny, Processes(0, 0, 3))
+def test_steps_of_all_processes_are_counted(on_shared_env):
+    trainer = on_shared_env(processes=Processes(0, 0, 3))
     trainer.iterate()
     assert trainer.total_steps == 3 * 32
 
@@ -156,8 +142,8 @@ def test_a_single_process_agrees_with_itself():
     assert torch.equal(mean_over_processes(torch.tensor(3.0)), torch.tensor(3.0))
 
 
-def test_physics_warnings_of_every_process_are_heard(task, tiny, monkeypatch, capsys):
-    trainer = make_trainer(task, tiny, Processes(1, 1, 2))
+def test_physics_warnings_of_every_process_are_heard(on_shared_env, monkeypatch, capsys):
+    trainer = on_shared_env(processes=Processes(1, 1, 2))
     monkeypatch.setattr(trainer.env.sim, "warnings", lambda: ["the contact buffer is full"])
     trainer._report_physics({})
     assert capsys.readouterr().err == "process 1, physics: the contact buffer is full\n"

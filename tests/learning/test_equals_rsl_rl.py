@@ -4,34 +4,22 @@ from __future__ import annotations
 
 import pytest
 import torch
-from rich.console import Console
 from rsl_rl.runners import OnPolicyRunner
 
-from humoslope.cli.options import parse
-from humoslope.cli.train import TrainArgs
-from humoslope.env import ManagerBasedRlEnv
 from humoslope.learning.ppo import PpoLearner
-from humoslope.learning.rng import seed_everything
-from humoslope.learning.trainer import Trainer
 
 ITERATIONS = 3
 
 
-def make_trainer(task: str, tiny: list[str], *options: str) -> Trainer:
-    cfg, _ = parse(TrainArgs(), task, [*tiny, *options])
-    seed_everything(cfg.env.seed)
-    return Trainer(task, cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True))
-
-
 @pytest.mark.parametrize("options", [[], ["--agent.no-symmetry"], ["--agent.no-obs-normalization"]])
-def test_every_weight_and_random_number_is_that_of_rsl_rls_loop(task, tiny, options):
-    ours = make_trainer(task, tiny, *options)
+def test_every_weight_and_random_number_is_that_of_rsl_rls_loop(make_trainer, options):
+    ours = make_trainer(*options)
     ours.start_episodes()
     for _ in range(ITERATIONS):
         ours.iterate()
     drawn = torch.rand(4)
 
-    theirs = make_trainer(task, tiny, *options).learner
+    theirs = make_trainer(*options).learner
     assert isinstance(theirs, PpoLearner)
     OnPolicyRunner.learn(theirs, ITERATIONS, init_at_random_ep_len=True)
     assert torch.equal(drawn, torch.rand(4))
@@ -41,23 +29,25 @@ def test_every_weight_and_random_number_is_that_of_rsl_rls_loop(task, tiny, opti
     assert ours.learner.alg.learning_rate == theirs.alg.learning_rate
 
 
-@pytest.mark.parametrize("name", ["gamma", "lam", "clip_param", "value_loss_coef", "entropy_coef", "max_grad_norm"])
-def test_every_number_of_the_agent_reaches_the_algorithm(task, tiny, name):
-    trainer = make_trainer(task, tiny, f"--agent.{name.replace('_', '-')}", "0.123")
-    assert getattr(trainer.learner.alg, name) == 0.123
+def test_every_number_of_the_agent_reaches_the_algorithm(on_shared_env):
+    names = ("gamma", "lam", "clip_param", "value_loss_coef", "entropy_coef", "max_grad_norm")
+    values = {name: round(0.123 + 0.1 * place, 3) for place, name in enumerate(names)}
+    options = [word for name, value in values.items() for word in (f"--agent.{name.replace('_', '-')}", str(value))]
+    alg = on_shared_env(*options).learner.alg
+    assert {name: getattr(alg, name) for name in names} == values
 
 
-def test_the_other_settings_of_the_agent_reach_the_algorithm(task, tiny):
-    alg = make_trainer(task, tiny, "--agent.mixed-precision", "--agent.desired-kl", "0.02").learner.alg
+def test_the_other_settings_of_the_agent_reach_the_algorithm(on_shared_env):
+    alg = on_shared_env("--agent.mixed-precision", "--agent.desired-kl", "0.02").learner.alg
     assert alg.use_mixed_precision
     assert (alg.desired_kl, alg.schedule) == (0.02, "adaptive")
     assert (alg.num_mini_batches, alg.num_learning_epochs) == (2, 1)
     assert alg.symmetry.use_data_augmentation
-    assert make_trainer(task, tiny, "--agent.no-symmetry").learner.alg.symmetry is None
+    assert on_shared_env("--agent.no-symmetry").learner.alg.symmetry is None
 
 
-def test_the_schedule_is_fixed_only_while_the_actor_is_held(task, tiny):
-    trainer = make_trainer(task, tiny, "--agent.critic-warmup-iterations", "2")
+def test_the_schedule_is_fixed_only_while_the_actor_is_held(on_shared_env):
+    trainer = on_shared_env("--agent.critic-warmup-iterations", "2")
     schedules = []
     for _ in range(3):
         trainer.iterate()
@@ -65,8 +55,8 @@ def test_the_schedule_is_fixed_only_while_the_actor_is_held(task, tiny):
     assert schedules == ["fixed", "fixed", "adaptive"]
 
 
-def test_the_entropy_bonus_falls_linearly_until_the_last_iteration(task, tiny):
-    trainer = make_trainer(task, tiny, "--agent.max-iterations", "3", "--agent.final-entropy-coef", "0.001")
+def test_the_entropy_bonus_falls_linearly_until_the_last_iteration(on_shared_env):
+    trainer = on_shared_env("--agent.max-iterations", "3", "--agent.final-entropy-coef", "0.001")
     weights = []
     for _ in range(3):
         trainer.iterate()

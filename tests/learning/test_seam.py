@@ -6,6 +6,7 @@ import json
 import os
 import signal
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ from humoslope.learning.logger import ProgressLine
 from humoslope.learning.policy import load_actor, spec_of
 from humoslope.learning.rng import seed_everything
 from humoslope.learning.trainer import Trainer
-from humoslope.registry import build_task
+from humoslope.registry import TaskCfg
 from tests.learning import toys
 
 TINY = [
@@ -61,15 +62,26 @@ def run(name: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def make_trainer(name: str, *options: str) -> Trainer:
-    cfg, _ = parse(TrainArgs(), name, [*TINY, *options])
+@pytest.fixture(scope="module")
+def cfg(name: str) -> TaskCfg:
+    """Of a run of another seed; not to be written into."""
+    return parse(TrainArgs(), name, [*TINY, "--env.seed", "9"])[0]
+
+
+@pytest.fixture(scope="module")
+def env(cfg: TaskCfg) -> ManagerBasedRlEnv:
+    return ManagerBasedRlEnv(cfg.env)
+
+
+@pytest.fixture
+def trainer(name: str, cfg: TaskCfg, env: ManagerBasedRlEnv) -> Trainer:
+    """A new trainer, on an environment that others had before."""
     seed_everything(cfg.env.seed)
-    return Trainer(name, cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True))
+    return Trainer(name, cfg, env, None, Console(quiet=True))
 
 
-def test_the_type_of_the_agent_decides_which_learner_trains() -> None:
-    assert type(make_trainer("Toy-Td3").learner) is toys.ToyTd3
-    assert type(make_trainer("Toy-Image").learner) is toys.ToyImage
+def test_the_type_of_the_agent_decides_which_learner_trains(trainer: Trainer, name: str) -> None:
+    assert type(trainer.learner) is {"Toy-Td3": toys.ToyTd3, "Toy-Image": toys.ToyImage}[name]
 
 
 def test_training_logs_its_curves_and_moves_the_policy(run: Path, name: str) -> None:
@@ -101,8 +113,7 @@ def test_a_signal_stops_it_with_a_checkpoint_and_it_resumes(
     assert state["total_steps"] == 128
 
 
-def test_resuming_is_exact_for_everything_but_the_episodes(run: Path, name: str) -> None:
-    trainer = make_trainer(name, "--env.seed", "9")
+def test_resuming_is_exact_for_everything_but_the_episodes(run: Path, trainer: Trainer) -> None:
     trainer.resume(run / "model_1.pt")
     state = checkpoint.load(run / "model_1.pt")
     for key, value in state["policy"]["weights"].items():
@@ -110,12 +121,10 @@ def test_resuming_is_exact_for_everything_but_the_episodes(run: Path, name: str)
     assert torch.equal(torch.get_rng_state(), state["rng"]["torch"])
 
 
-def test_the_checkpoint_alone_rebuilds_the_policy(run: Path, name: str) -> None:
-    cfg = build_task(name).env
-    cfg.num_envs, cfg.sim.backend = 3, "native"
-    env = ManagerBasedRlEnv(cfg)
+def test_the_checkpoint_alone_rebuilds_the_policy(
+    run: Path, name: str, env: ManagerBasedRlEnv, trainer: Trainer
+) -> None:
     actor = load_actor(run / "model_1.pt", env, name)
-    trainer = make_trainer(name)
     trainer.resume(run / "model_1.pt")
     obs = env.get_observations()
     assert torch.equal(actor(obs), trainer.learner.policy.eval()(obs))
@@ -137,7 +146,8 @@ def test_it_is_exported(run: Path, name: str) -> None:
 
 
 def test_terminal_observations_differ_from_the_next_ones_only_where_an_episode_ended() -> None:
-    trainer = make_trainer("Toy-Td3", "--env.episode-length-s", "0.1")
+    short, _ = parse(TrainArgs(), "Toy-Td3", [*TINY, "--env.episode-length-s", "0.1"])
+    trainer = Trainer("Toy-Td3", short, ManagerBasedRlEnv(short.env), None, Console(quiet=True))
     trainer.start_episodes()
     for _ in range(3):
         trainer.iterate()  # `take` asserts the rest
@@ -145,9 +155,6 @@ def test_terminal_observations_differ_from_the_next_ones_only_where_an_episode_e
     assert trainer.learner.terminal_differed > 0
 
 
-def test_an_agent_without_a_learner_is_refused() -> None:
-    cfg = build_task("Toy-Td3")
-    cfg.agent = AgentCfg()
-    cfg.env.num_envs, cfg.env.sim.backend = 2, "native"
+def test_an_agent_without_a_learner_is_refused(name: str, cfg: TaskCfg, env: ManagerBasedRlEnv) -> None:
     with pytest.raises(UserError, match=r"agent AgentCfg has no learner; define build\(env\)"):
-        Trainer("Toy-Td3", cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True))
+        Trainer(name, replace(cfg, agent=AgentCfg()), env, None, Console(quiet=True))

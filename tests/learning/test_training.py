@@ -17,8 +17,6 @@ import torch
 from rich.console import Console
 
 from humoslope.cli import main
-from humoslope.cli.options import parse
-from humoslope.cli.train import TrainArgs
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.report.curve import read_curves
@@ -301,14 +299,8 @@ def test_what_a_killed_process_left_half_written_is_removed_at_the_next_start(fi
     assert other.exists()
 
 
-def make_trainer(task: str, tiny: list[str], *options: str) -> Trainer:
-    cfg, _ = parse(TrainArgs(), task, [*tiny, *options])
-    seed_everything(cfg.env.seed)
-    return Trainer(task, cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True))
-
-
-def test_resuming_restores_levels_harness_counters_and_random_numbers(task, tiny, tmp_path):
-    first = make_trainer(task, tiny)
+def test_resuming_restores_levels_harness_counters_and_random_numbers(make_trainer, tmp_path):
+    first = make_trainer()
     env = first.env
     env.events["harness"].scale = torch.tensor(0.37)
     env.tiles.set_level(torch.arange(8) % 3)
@@ -317,7 +309,7 @@ def test_resuming_restores_levels_harness_counters_and_random_numbers(task, tiny
     first.save(tmp_path / "model_41.pt")
     expected = torch.rand(3)
 
-    second = make_trainer(task, tiny, "--env.seed", "5")
+    second = make_trainer("--env.seed", "5")
     second.resume(tmp_path / "model_41.pt")
     assert torch.equal(torch.rand(3), expected)
     env = second.env
@@ -329,8 +321,8 @@ def test_resuming_restores_levels_harness_counters_and_random_numbers(task, tiny
         assert torch.equal(value, second.learner.policy.state_dict()[name])
 
 
-def test_episodes_of_a_new_start_are_spread_over_their_length(task, tiny):
-    trainer = make_trainer(task, tiny, "--env.num-envs", "64")
+def test_episodes_of_a_new_start_are_spread_over_their_length(make_trainer):
+    trainer = make_trainer("--env.num-envs", "64")
     trainer.start_episodes()
     steps = trainer.env.episode_length_buf
     assert steps.min() >= 0
@@ -338,8 +330,8 @@ def test_episodes_of_a_new_start_are_spread_over_their_length(task, tiny):
     assert len(steps.unique()) > 48
 
 
-def test_a_warm_start_takes_the_actor_and_nothing_else(task, tiny, finished):
-    trainer = make_trainer(task, tiny, "--env.seed", "5")
+def test_a_warm_start_takes_the_actor_and_nothing_else(on_shared_env, finished):
+    trainer = on_shared_env(seed_offset=4)
     critic = {name: value.clone() for name, value in trainer.learner.alg.critic.state_dict().items()}
     trainer.warm_start(finished / "model_2.pt")
     trained = checkpoint.load(finished / "model_2.pt")
@@ -349,15 +341,15 @@ def test_a_warm_start_takes_the_actor_and_nothing_else(task, tiny, finished):
     assert trainer.iteration == 0
 
 
-def test_a_checkpoint_of_another_width_is_refused_with_the_option_that_helps(task, tiny, finished):
-    trainer = make_trainer(task, tiny, "--agent.hidden-dims", "8", "8")
+def test_a_checkpoint_of_another_width_is_refused_with_the_option_that_helps(on_shared_env, finished):
+    trainer = on_shared_env("--agent.hidden-dims", "8", "8")
     with pytest.raises(UserError, match=r"model_2.pt' has hidden layers of .* add --agent.hidden-dims 16 16"):
         trainer.resume(finished / "model_2.pt")
 
 
-def test_more_mini_batches_than_samples_are_refused(task, tiny):
+def test_more_mini_batches_than_samples_are_refused(on_shared_env):
     with pytest.raises(UserError, match="num_mini_batches 64 is more than the 32 samples of a rollout"):
-        make_trainer(task, tiny, "--agent.num-mini-batches", "64")
+        on_shared_env("--agent.num-mini-batches", "64")
 
 
 def test_an_option_without_effect_on_a_resumed_run_is_refused(finished, task, tmp_path, capsys):
@@ -411,16 +403,16 @@ def test_a_value_that_is_not_finite_ends_the_run_with_its_last_good_weights(
         checkpoint.load(run / "model_0.pt")
 
 
-def test_a_loss_that_is_not_finite_ends_the_run_and_its_weights_are_not_saved(train, task, tiny, tmp_path, monkeypatch):
-    trainer = make_trainer(task, tiny)
+def test_a_loss_that_is_not_finite_ends_the_run_and_its_weights_are_not_saved(on_shared_env):
+    trainer = on_shared_env()
     update = trainer.learner.update
     trainer.learner.update = lambda obs: {**update(obs), "Loss/value": float("nan")}
     with pytest.raises(UserError, match=r"Loss/value is not finite \(iteration 1\); there is no checkpoint yet"):
         trainer.iterate()
 
 
-def test_weights_that_are_not_finite_are_never_written(task, tiny, tmp_path):
-    trainer = make_trainer(task, tiny)
+def test_weights_that_are_not_finite_are_never_written(on_shared_env, tmp_path):
+    trainer = on_shared_env()
     trainer.iterate()
     next(iter(trainer.learner.policy.parameters())).data[0] = float("inf")
     with pytest.raises(UserError, match=r"is not written: policy\.weights\..* holds values that are not finite"):
@@ -434,8 +426,8 @@ def load_share(env: ManagerBasedRlEnv) -> torch.Tensor:
     return force[:, 0] / force.sum(dim=1)
 
 
-def test_a_reward_that_divides_by_zero_is_named_with_its_envs_and_iteration(task, tiny):
-    cfg, _ = parse(TrainArgs(), task, tiny)
+def test_a_reward_that_divides_by_zero_is_named_with_its_envs_and_iteration(task, tiny_cfg):
+    cfg = tiny_cfg()
     cfg.env.rewards.load_share = RewardTermCfg(load_share)
     seed_everything(cfg.env.seed)
     trainer = Trainer(task, cfg, ManagerBasedRlEnv(cfg.env), None, Console(quiet=True))
