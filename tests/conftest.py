@@ -84,7 +84,17 @@ def stage1_checkpoint() -> Path:
 
 
 @pytest.fixture(scope="session")
-def exported(stage1_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shared_operators() -> Iterator[None]:
+    """For several exports. Torch compiles its 500 operators anew for each, which takes longer than the export."""
+    from torch.onnx._internal.exporter._registration import ONNXRegistry
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ONNXRegistry, "from_torchlib", staticmethod(cache(ONNXRegistry.from_torchlib)))
+        yield
+
+
+@pytest.fixture(scope="session")
+def exported(stage1_checkpoint: Path, shared_operators: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its export folder; not to be written into."""
     from humoslope.cli import main
 
@@ -98,16 +108,6 @@ def exported(stage1_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) 
         with suppress(OSError):  # another process was faster
             own.rename(folder)
     return folder
-
-
-@pytest.fixture(scope="session")
-def shared_operators() -> Iterator[None]:
-    """For several exports. Torch compiles its 500 operators anew for each, which takes longer than the export."""
-    from torch.onnx._internal.exporter._registration import ONNXRegistry
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ONNXRegistry, "from_torchlib", staticmethod(cache(ONNXRegistry.from_torchlib)))
-        yield
 
 
 @pytest.fixture(scope="session")

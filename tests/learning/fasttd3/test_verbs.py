@@ -24,6 +24,8 @@ TINY = [
     *("--agent.batch-size", "16", "--agent.buffer-steps", "32", "--agent.no-mixed-precision"),
 ]
 
+pytestmark = pytest.mark.usefixtures("shared_operators")
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
