@@ -369,7 +369,7 @@ def read(folder: Path) -> Contract:
         raise UserError(f"contract '{path}' has version {version}; this program reads versions 1 to {VERSION}.")
     try:
         contract = typed(Contract, _from_version_1(raw) if version == 1 else raw)
-        _check(contract)
+        check(contract)
     except UserError as error:
         raise UserError(f"contract '{path}': {error}") from None
     except RecursionError:
@@ -411,8 +411,8 @@ def _written(value: Any) -> Any:
     return [_written(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _check(contract: Contract) -> None:
-    """Raises UserError where values make no sense or parts do not fit together."""
+def check(contract: Contract) -> None:
+    """Raises UserError where values make no sense or parts do not fit together; `read` does so as well."""
     joints, timing, robot, network = contract.joints, contract.timing, contract.robot, contract.network
     if min(timing.control_step_s, timing.physics_step_s) <= 0.0 or contract.decimation < 1:
         raise UserError("timing: a step must be positive, and the physics step no longer than the control step.")
