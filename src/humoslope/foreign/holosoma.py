@@ -72,7 +72,9 @@ def read(metadata: Mapping[str, str], path: Path, robots: list[HolosomaRobot]) -
     joints = tuple(map(str, value(KEY)))
     known = [robot for robot in robots if set(robot.joints) == set(joints)]
     if not known:
-        raise UserError(f"'{path}' is of holosoma, for a robot that is not known here; its first joint is '{joints[0]}'.")
+        raise UserError(
+            f"'{path}' is of holosoma, for a robot that is not known here; its first joint is '{joints[0]}'."
+        )
     (robot,) = known
     return ForeignPolicy(
         framework="holosoma",

@@ -86,6 +86,8 @@ class ForeignPolicy:
         for name in ("stiffness", "damping", "default", "action_scale"):
             if (found := len(getattr(self, name))) != count:
                 raise UserError(f"'{path}' has {found} numbers of {name.replace('_', ' ')} for {count} joints.")
+        if len({term.name for term in self.terms}) < len(self.terms):
+            raise UserError(f"'{path}' has an observation twice.")
         for term in self.terms:
             size = term.size(count)
             for what, given in (("scales", term.scale), ("bounds", term.bounds)):

@@ -88,7 +88,9 @@ def find(named: str, network: Path | None, robot: Robot) -> Found:
 def _published(policy: PublishedPolicy) -> Found:
     content, path = policy.fetch(), Path(policy.file)
     origin = f"from outside ({policy.wheel.title})"
-    return _of_network(content, path, Source(policy.name, path, _digest(content), origin), (policy.about, policy.licence))
+    return _of_network(
+        content, path, Source(policy.name, path, _digest(content), origin), (policy.about, policy.licence)
+    )
 
 
 def _of_network(content: bytes, path: Path, source: Source, about: tuple[str, ...]) -> Found:
