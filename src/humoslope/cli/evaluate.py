@@ -41,8 +41,8 @@ class Options(Kind):
     interrupted continues when the same command is given again, and one with more --trials builds on one with fewer.
 
     Attributes:
-        checkpoints: Checkpoints of one method; a run folder stands for its newest one. An export folder, also of a policy
-            that was imported, is taken as well.
+        checkpoints: Checkpoints of one method; a run folder stands for its newest one. Export folders are taken as
+            well, also of imported policies.
         protocol: Settings of the benchmark.
         out: Path of the results without ending; by default beside the first checkpoint, or in the export folder.
         parallel_trials: Number of trials of a cell that run side by side.

@@ -29,8 +29,8 @@ class Options(Checked):
     place (--speed 0 --yaw-rate 0.6), and be pushed (--push 1.0).
 
     Attributes:
-        checkpoint: Path of a checkpoint; a run folder stands for its newest one. An export folder, also of a policy that
-            was imported, is taken as well.
+        checkpoint: Path of a checkpoint; a run folder stands for its newest one. An export folder is taken
+            as well, also of an imported policy.
         protocol: Settings of the measurement.
         out: Path of the JSON file with the results; by default beside the checkpoint, or in the export
             folder.

@@ -105,8 +105,8 @@ def of_export(folder: Path) -> Subject:
     """Returns the policy of an export folder, for its robot as it is registered, with the gains of the contract.
 
     Raises:
-        UserError: If the export is broken, its robot is not registered or has changed, or it sees what only the code that
-            it was trained with can compute.
+        UserError: If the export is broken, its robot is not registered or has changed, or it sees what only the code
+            that it was trained with can compute.
     """
     contract = contracts.read(folder)
     policy = OnnxPolicy(folder, contract.network)
@@ -161,8 +161,8 @@ def _term(term: Term, contract: Contract, aged: bool) -> ObservationTermCfg:
         return ObservationTermCfg(GaitPhase, params, term.training_noise, term.scale)
     if term.quantity not in FUNCTIONS:
         raise UserError(
-            f"observation '{term.name}' is a custom quantity ({term.meaning or 'not described'}); only the checkpoint can "
-            "be evaluated, with the code that it was trained with."
+            f"observation '{term.name}' is a custom quantity ({term.meaning or 'not described'}); only the checkpoint "
+            "can be evaluated, with the code that it was trained with."
         )
     function = FUNCTIONS[term.quantity]
     takes_age = aged and "measured" in inspect.signature(function).parameters

@@ -127,7 +127,8 @@ def _check_joints(policy: ForeignPolicy, robot: Robot, path: Path) -> None:
         raise UserError(f"'{path}' lists a joint twice.")
     if missing := [name for name in robot.joint_names if name not in policy.joints]:
         raise UserError(
-            f"'{path}' moves {len(policy.joints)} joints and {robot.name} has {robot.num_joints}; it lacks '{missing[0]}'."
+            f"'{path}' moves {len(policy.joints)} joints, and {robot.name} has {robot.num_joints}: "
+            f"it lacks '{missing[0]}'."
         )
 
 
