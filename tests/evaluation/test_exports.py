@@ -24,6 +24,7 @@ from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.exports import FUNCTIONS, PHASE, GaitPhase, env_of
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
+from humoslope.evaluation.report.paper import read_paper
 from humoslope.evaluation.report.results import read_results
 from humoslope.evaluation.report.tables import main_table
 from humoslope.scene.redriven import redriven
@@ -73,7 +74,9 @@ def test_a_row_from_outside_is_marked(guest: Path, capsys: pytest.CaptureFixture
     (result,) = read_results([f"holosoma={guest / 'heldout.json'}"])
     assert result.name == "holosoma, from outside (holosoma)"
     assert result.training[0].steps == ()
-    assert "| holosoma, from outside (holosoma), trained elsewhere |" in main_table([result], ()).to_markdown()
+    assert (
+        "| holosoma, from outside (holosoma), trained elsewhere |" in main_table([result], read_paper()).to_markdown()
+    )
 
 
 def test_the_environment_is_the_contracts(guest: Path) -> None:
@@ -95,7 +98,7 @@ def test_the_environment_is_the_contracts(guest: Path) -> None:
 def test_both_clocks_of_a_gait_agree(make_env: Callable[..., FakeEnv], mask: Callable[..., Any]) -> None:
     clock = GaitClock(0.7, (0.3, 2.0), 0.05)
     env = make_env(3, commands=SimpleNamespace(velocity=None))
-    ours = GaitPhase(env, clock, "sine"), GaitPhase(env, clock, "cosine")  # type: ignore[arg-type]
+    ours = [GaitPhase(env, of, **vars(clock)) for of in ("sine", "cosine")]  # type: ignore[arg-type]
     theirs = [controller.GaitPhase(clock, env.step_dt) for _ in range(3)]
     rng = np.random.default_rng(0)
     for step in range(40):

@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from humoslope.deploy import contract as contracts
-from humoslope.deploy.contract import Contract, GaitClock, Term, Training
+from humoslope.deploy.contract import Contract, Term, Training
 from humoslope.deploy.controller import OnnxPolicy
 from humoslope.env import EnvCfg, ManagerBasedRlEnv, SceneCfg, SimCfg
 from humoslope.errors import UserError, unknown
@@ -25,6 +25,7 @@ from humoslope.learning.policy import Provenance
 from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms, VelocityCommandCfg
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp import observations
+from humoslope.ranges import Finite, Positive
 from humoslope.registry import content_of
 from humoslope.scene.redriven import redriven
 from humoslope.scene.robot import Robot
@@ -45,14 +46,23 @@ class GaitPhase(StatefulTerm):
     """Sine or cosine of the phases of the left and the right foot by a contract's gait clock, [N, 2].
 
     Args:
-        clock: The clock.
         function: What is observed of the phases.
+        period_s: As in `GaitClock`.
+        offsets_rad: As in `GaitClock`.
+        rest_below: As in `GaitClock`.
     """
 
-    def __init__(self, env: ManagerBasedRlEnv, clock: GaitClock, function: Literal["sine", "cosine"]) -> None:
+    def __init__(
+        self,
+        env: ManagerBasedRlEnv,
+        function: Literal["sine", "cosine"],
+        period_s: Positive,
+        offsets_rad: tuple[float, ...],
+        rest_below: Finite,
+    ) -> None:
         self._of = torch.sin if function == "sine" else torch.cos
-        self._rest_below, self._step = clock.rest_below, 2.0 * math.pi * env.step_dt / clock.period_s
-        self._offsets = torch.tensor(clock.offsets_rad, device=env.device)
+        self._rest_below, self._step = rest_below, 2.0 * math.pi * env.step_dt / period_s
+        self._offsets = torch.tensor(offsets_rad, device=env.device)
         self._moved = env.zeros()  # [N] control steps of the present motion
 
     def reset(self, mask: Tensor) -> None:
@@ -157,7 +167,8 @@ def env_of(contract: Contract) -> EnvCfg:
 
 def _term(term: Term, contract: Contract, aged: bool) -> ObservationTermCfg:
     if term.quantity.startswith(PHASE):
-        params = {"clock": contract.gait_clock, "function": term.quantity.removeprefix(PHASE)}
+        assert contract.gait_clock is not None  # a contract without one has no such term
+        params = {"function": term.quantity.removeprefix(PHASE), **vars(contract.gait_clock)}
         return ObservationTermCfg(GaitPhase, params, term.training_noise, term.scale)
     if term.quantity not in FUNCTIONS:
         raise UserError(

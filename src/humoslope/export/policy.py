@@ -204,7 +204,7 @@ def _term(where: str, name: str, cfg: ObservationTermCfg, env: ManagerBasedRlEnv
     # `measured` is carried, as the age of what is seen.
     if others := [name for name in cfg.params if name != "measured"]:
         raise UserError(f"observation '{where}': a contract cannot carry its parameters ({', '.join(others)}).")
-    return described(quantity, env.robot, **common)
+    return described(robot=env.robot, **common)
 
 
 def _commands(cfg: VelocityCommandCfg) -> contracts.Commands:

@@ -67,11 +67,11 @@ def find(named: str, network: Path | None, robot: Robot) -> Found:
     """
     path = Path(named)
     published = {policy.name: policy for policy in content_of(PublishedPolicy)}
-    if not path.exists():
-        if named not in published:
-            known = ", ".join(sorted(published)) or "none"
-            raise UserError(f"'{named}' is neither a file nor a published policy; of these there are: {known}.")
+    if named in published and not path.is_file():  # a folder of this name is what an earlier import wrote
         return _published(published[named])
+    if not path.exists():
+        known = ", ".join(sorted(published)) or "none"
+        raise UserError(f"'{named}' is neither a file nor a published policy; of these there are: {known}.")
     if path.is_dir():
         places = [path / place for place in DEPLOY if (path / place).is_file()]
         if not places:
