@@ -75,7 +75,7 @@ def test_a_row_from_outside_is_marked(guest: Path, capsys: pytest.CaptureFixture
     assert result.name == "holosoma, from outside (holosoma)"
     assert result.training[0].steps == ()
     assert (
-        "| holosoma, from outside (holosoma), trained elsewhere |" in main_table([result], read_paper()).to_markdown()
+        "| holosoma, from outside (holosoma) | trained elsewhere |" in main_table([result], read_paper()).to_markdown()
     )
 
 
