@@ -8,7 +8,8 @@ from humoslope.deploy.contract import GaitClock
 from humoslope.downloads import Wheel
 from humoslope.foreign.holosoma import HolosomaRobot
 from humoslope.foreign.published import PublishedPolicy
-from robots.unitree_g1.model import DRIVES, SIDES
+from humoslope.scene.sensors import SIDES
+from robots.unitree_g1.model import DRIVES
 
 # holosoma-inference 0.1.3, config_values: robot.py, observation.py, task.py; policies/locomotion.py for the clock.
 HOLOSOMA_G1 = HolosomaRobot(

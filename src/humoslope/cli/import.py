@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 from rich.console import Console
@@ -32,7 +31,7 @@ class Options:
         network: Path of the network of a deploy.yaml; by default where Unitree's training leaves it.
     """
 
-    source: Annotated[str, tyro.conf.Positional]
+    source: tyro.conf.Positional[str]
     out: Path | None = None
     robot: str | None = None
     network: Path | None = None
@@ -42,11 +41,12 @@ def run(arguments: list[str]) -> None:
     """Imports the policy named in `arguments`."""
     options, console = tyro.cli(Options, args=arguments, prog="humoslope import"), Console()
     load_content()
-    found = find(options.source, options.network, choose_robot(options.robot))
+    robot = choose_robot(options.robot)
+    found = find(options.source, options.network, robot)
     folder = options.out or Path(found.source.name)
     for file in (FILE, MODEL, ONNX, DEPLOY):
         check_place(folder / file)
-    contract = folders.write(folder, found.policy, found.network, choose_robot(options.robot), found.source)
+    contract = folders.write(folder, found.policy, found.network, robot, found.source)
     (group,), (end,) = contract.observations, contract.network.inputs
     history = f" of {group.history} steps" if group.history > 1 else ""
     console.print(

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from humoslope.deploy.contract import Range
 from humoslope.errors import UserError
-from humoslope.foreign.policy import UNBOUNDED, ForeignPolicy, ForeignTerm, numbers, quantity_of, repeated
+from humoslope.foreign.policy import ForeignPolicy, ForeignTerm, numbers, quantity_of, repeated, scaled
 
 KEY = "joint_names"
 """Key by which such a file is recognised."""
@@ -92,12 +91,3 @@ def _term(plain: ForeignTerm, scale: tuple[float, ...], clip: tuple[float, ...],
     if len(clip) != 2:
         raise UserError(f"'{path}': observation '{plain.name}' has {len(clip)} bounds instead of two.")
     return scaled(plain, scale, (clip[0], clip[1]))
-
-
-def scaled(plain: ForeignTerm, scale: tuple[float, ...], clip: Range) -> ForeignTerm:
-    """Returns a term with bounds that hold before the scale."""
-    bounds: tuple[Range, ...] = (UNBOUNDED,)
-    if clip != UNBOUNDED:
-        pairs = [sorted((clip[0] * s, clip[1] * s)) for s in scale]
-        bounds = tuple((low, high) for low, high in pairs)
-    return ForeignTerm(plain.name, plain.quantity, scale, bounds, plain.history)

@@ -99,6 +99,15 @@ class ForeignPolicy:
             raise UserError(f"'{path}': its observations have different histories, yet stand together step by step.")
 
 
+def scaled(plain: ForeignTerm, scale: tuple[float, ...], clip: Range) -> ForeignTerm:
+    """Returns a term with bounds that hold before the scale."""
+    bounds: tuple[Range, ...] = (UNBOUNDED,)
+    if clip != UNBOUNDED:
+        pairs = [sorted((clip[0] * s, clip[1] * s)) for s in scale]
+        bounds = tuple((low, high) for low, high in pairs)
+    return ForeignTerm(plain.name, plain.quantity, scale, bounds, plain.history)
+
+
 def quantity_of(name: str, known: Mapping[str, str], path: Path) -> str:
     """Returns the quantity of an observation.
 

@@ -16,8 +16,7 @@ import yaml
 from humoslope.deploy import unitree
 from humoslope.deploy.contract import Range
 from humoslope.errors import UserError
-from humoslope.foreign.mjlab import scaled
-from humoslope.foreign.policy import UNBOUNDED, ForeignPolicy, ForeignTerm, numbers, quantity_of, repeated
+from humoslope.foreign.policy import UNBOUNDED, ForeignPolicy, ForeignTerm, numbers, quantity_of, repeated, scaled
 
 OBSERVATIONS = {name: quantity for quantity, name in unitree.OBSERVATIONS.items()}
 """Quantities by the names of Unitree's deployment."""
