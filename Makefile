@@ -102,7 +102,7 @@ check-device: $(STAMP) ## Check that this installation is right and fast, within
 campaign: $(STAMP) ## Run the trainings and evaluations of FILE, go on with them; ARGS=--dry-run says what is left
 	$(BIN)/humoslope campaign $(call need,FILE,experiments/table2.toml) $(ARGS)
 
-reproduce: $(STAMP) ## Train and measure everything anew, some ten hours on two cores; experiments/reproduce.toml states it
+reproduce: $(STAMP) ## Train and measure everything anew, some thirteen hours on two cores; experiments/reproduce.toml states it
 	$(BIN)/humoslope campaign experiments/reproduce.toml $(ARGS)
 ifeq ($(filter --%,$(ARGS)),)
 	$(BIN)/humoslope table 1 logs/reproduce --out logs/reproduce/tables/table1

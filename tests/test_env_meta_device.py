@@ -95,6 +95,7 @@ def on_meta(monkeypatch: pytest.MonkeyPatch) -> None:
         "HumoSlope-Stage2-Unitree-G1",
         "URL-TerrainRelative-Unitree-G1",
         "Gallant-Unitree-G1",
+        "UnitreeMjlab-Rough-Unitree-G1",
     ],
 )
 def test_all_of_a_step_happens_on_the_physics_device(on_meta: None, task: str) -> None:

@@ -214,7 +214,7 @@ def test_every_campaign_of_experiments_can_be_run(plans: dict[str, Plan]) -> Non
     assert counts == {
         "crouch.toml": 5,
         "recipe.toml": 10,
-        "reproduce.toml": 3,
+        "reproduce.toml": 4,
         "table2.toml": 21,
         "table2_gpu.toml": 40,
     }
@@ -243,15 +243,16 @@ def test_the_recipe_halves_every_reward_of_today_and_changes_one_thing_a_row(pla
     assert len(words) == 9
 
 
-def test_the_baseline_learns_as_stage_1_does_from_its_first_walk(plans: dict[str, Plan]) -> None:
+def test_the_baselines_learn_as_stage_1_does_from_its_first_walk(plans: dict[str, Plan]) -> None:
     agents = {}
-    for row in ("stage1", "url"):
+    for row in ("stage1", "url", "unitree-mjlab"):
         job = plans["reproduce.toml"].jobs[f"{row}/seed1 training"]
         task, *options = job.words
         cfg, args = parse(TrainArgs(), task, [*options, "--preset", "cpu"])
         agents[row] = cfg.agent
-    assert args.init == "logs/reproduce/stage1/seed1/model_100.pt"
+        assert args.init == ("" if row == "stage1" else "logs/reproduce/stage1/seed1/model_100.pt")
     assert agents["url"].critic_warmup_iterations > 0
+    assert agents["url"] == agents["unitree-mjlab"]
     assert replace(agents["url"], critic_warmup_iterations=0) == agents["stage1"]
 
 

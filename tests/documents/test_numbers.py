@@ -55,13 +55,13 @@ def preset(name: str) -> tuple[str, ...]:
     return str(cfg.env.num_envs), f"{1e3 * sim.timestep:g}", str(sim.decimation), *map(str, agent.hidden_dims)
 
 
+def withdrawal_setting(name: str) -> float:
+    return stage1().env.curriculum.harness.params.get(name, default(harness.HarnessCurriculum, name))
+
+
 def withdrawal() -> tuple[str, str]:
     """Falls per second, and percentage of the commanded speed, at which Stage I's harness goes."""
-    own = stage1().env.curriculum.harness.params
-    falls, share = (
-        own.get(name, default(harness.HarnessCurriculum, name)) for name in ("falls_per_second", "speed_share")
-    )
-    return f"{falls:g}", f"{100 * share:g}"
+    return f"{withdrawal_setting('falls_per_second'):g}", f"{100 * withdrawal_setting('speed_share'):g}"
 
 
 CLAIMS: dict[tuple[str, str], Callable[[], tuple[str, ...]]] = {
@@ -80,6 +80,9 @@ CLAIMS: dict[tuple[str, str], Callable[[], tuple[str, ...]]] = {
     ),
     ("method.md", r"below (\d+) % of body weight on the feet"): lambda: (f"{100 * regulariser('flight_share'):g}",),
     ("method.md", r"fall less than (\S+) times per second \*and\* walk more than (\d+) %"): withdrawal,
+    ("method.md", r"strictness grows while they fall less than (\S+) times per second"): lambda: (
+        f"{withdrawal_setting('falls_unaided'):g}",
+    ),
     ("faq.md", r"fewer than (\S+) falls per second \*and\* more than (\d+) %"): withdrawal,
     ("guides/laptop.md", r"falls, below (\S+) before .*? rises, over (\d+) %"): withdrawal,
     ("method.md", r"held still for (\d+) iterations"): lambda: (str(stage2().agent.critic_warmup_iterations),),

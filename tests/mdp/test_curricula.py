@@ -206,9 +206,10 @@ def test_the_command_adds_up_over_the_episode_and_is_forgotten_with_it(env, mask
     assert end(env, term, EVERYWHERE) == [0] * N
 
 
-@pytest.mark.parametrize(("scale", "highest"), [(1.0, 0), (0.81, 0), (0.79, 1), (0.5, 2), (0.1, 4), (0.0, 4)])
-def test_levels_open_as_the_harness_is_withdrawn(env, scale, highest):
-    env.events = {"carrier": Harness(env, scale=scale)}
+@pytest.mark.parametrize(("strictness", "highest"), [(0.0, 0), (0.19, 0), (0.21, 1), (0.5, 2), (0.9, 4), (1.0, 4)])
+def test_levels_open_as_the_strictness_of_the_harness_grows(env, strictness, highest):
+    env.events = {"carrier": Harness(env, scale=0.0)}
+    env.events["carrier"].strictness = torch.tensor(strictness)
     term = TerrainLevels(env, harness="carrier")
     for _ in range(10):
         if (env.tiles.level == LEVELS - 1).all():

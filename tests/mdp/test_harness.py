@@ -269,6 +269,7 @@ def test_while_every_robot_is_commanded_to_stand_the_share_stays_as_it_was(withd
     [
         ({"rate": -0.1}, "rate is -0.1; it must be 0 or more"),
         ({"falls_per_second": float("nan")}, "falls_per_second is nan; it must be 0 or more"),
+        ({"falls_unaided": -1.0}, "falls_unaided is -1; it must be 0 or more"),
         ({"memory_s": 0.0}, "memory_s is 0; it must be positive"),
     ],
 )
@@ -300,6 +301,22 @@ def test_strictness_grows_at_the_same_pace_once_it_is_gone_and_is_kept(withdrawa
     withdrawal.term = withdrawal.make(rate=10.0)
     withdrawal(1500)
     assert harness.strictness.item() == 1.0
+
+
+def test_strictness_bears_more_falls_than_the_harness_but_no_standing(withdrawal):
+    def grown(**params):
+        harness.strictness = torch.zeros(())
+        withdrawal.term = withdrawal.make(rate=0.05, falls_per_second=1.0, memory_s=0.02, **params)  # no memory
+        withdrawal(10, falling=True)
+        return harness.strictness.item()
+
+    harness = withdrawal.env.events["harness"]
+    harness.scale = torch.zeros(())
+    every_env = 1.0 / withdrawal.env.step_dt  # falls per second
+    assert grown(falls_unaided=0.99 * every_env) == 0.0
+    assert grown(falls_unaided=1.01 * every_env) == pytest.approx(10 * 0.05 * withdrawal.env.step_dt, rel=1e-3)
+    withdrawal(10, share=0.5)
+    assert harness.strictness.item() == pytest.approx(10 * 0.05 * withdrawal.env.step_dt, rel=1e-3)
 
 
 # Rewards and commands that grow with the strictness

@@ -130,7 +130,7 @@ def test_every_named_signal_has_its_sensor(model_on_ground):
     for foot_signal in ("foot_pos_w", "foot_normal_w", "foot_lin_vel_w", "foot_force_w"):
         assert {f"{foot_signal}/left", f"{foot_signal}/right"} <= names
     assert {"root_pos_w", "root_quat_w", "root_lin_vel_w", "root_ang_vel_b", "robot_force_w"} <= names
-    assert {"torso_quat_w", "torso_ang_vel_w", "com_pos_w", "com_lin_vel_w"} <= names
+    assert {"torso_quat_w", "torso_ang_vel_w", "com_pos_w", "com_lin_vel_w", "com_ang_mom_w"} <= names
     for site in SITES:
         assert model_on_ground.site(site).id >= 0
 

@@ -35,7 +35,9 @@ class TerrainLevels(CurriculumTerm):
             while it stands, or in an episode that was cut short, is no failure.
         up_commanded: Commanded distance below which no level is earned on a tile walked in any direction, m. Ours:
             three or four steps; such a robot may start close to the edge and walk off it.
-        harness: Name of the `Harness` event: levels open as it is withdrawn. Empty for no such limit.
+        harness: Name of the `Harness` event: levels open as its strictness grows, the first one alone before. Empty for
+            no such limit. Open from the start, steep levels fell robots at the same rate however well they walk,
+            and the harness stays.
         spread: Share of the levels over which envs are spread at random at first, from the easiest: 0 for the easiest
             alone, 1 for a policy that can walk them all already.
     """
@@ -90,7 +92,7 @@ class TerrainLevels(CurriculumTerm):
         anywhere = torch.randint_like(level, tiles.num_levels)
         level = torch.where(level >= tiles.num_levels, anywhere, level).clamp(min=0)
         if self._harness is not None:
-            open_levels = ((1.0 - self._harness.scale) * tiles.num_levels).floor().to(torch.int64)
+            open_levels = (self._harness.strictness * tiles.num_levels).floor().to(torch.int64)
             level = torch.minimum(level, open_levels)
         tiles.set_level(torch.where(mask, level.clamp(max=tiles.num_levels - 1), tiles.level))
         self._commanded = self._commanded.masked_fill(mask, 0.0)

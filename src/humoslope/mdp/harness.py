@@ -130,8 +130,10 @@ class HarnessCurriculum(CurriculumTerm):
         rate: Scale withdrawn, and then strictness added, per second of training time in one env. 0.0083 is 0.004 in a
             rollout of 24 steps of 20 ms.
         falls_per_second: Falls per env and second from which the harness is left as it is.
-        speed_share: Share of the commanded speed, in whatever direction, up to which it is left as it is: standing
-            still in the harness is no skill.
+        falls_unaided: Falls per env and second from which strictness is left as it is. Higher, since steep ground,
+            pushes and turns fell robots that are learning well, and what is not asked of them they never learn.
+        speed_share: Share of the commanded speed, in whatever direction, up to which both are left as they are:
+            standing still is no skill.
         memory_s: Time over which both are averaged, s.
     """
 
@@ -141,14 +143,18 @@ class HarnessCurriculum(CurriculumTerm):
         event: str = "harness",
         rate: NotNegative = 0.0083,
         falls_per_second: NotNegative = 0.04,
+        falls_unaided: NotNegative = 0.1,
         speed_share: NotNegative = 0.7,
         memory_s: Positive = 10.0,
     ) -> None:
         harness = _harness(env, event)
-        require_not_negative("harness curriculum", rate=rate, falls_per_second=falls_per_second)
+        require_not_negative(
+            "harness curriculum", rate=rate, falls_per_second=falls_per_second, falls_unaided=falls_unaided
+        )
         require_positive("harness curriculum", memory_s=memory_s)
         self._harness, self._rate = harness, rate
-        self._most_falls, self._least_speed = falls_per_second, speed_share
+        self._most_falls, self._most_falls_unaided = falls_per_second, falls_unaided
+        self._least_speed = speed_share
         self._keep = max(0.0, 1.0 - env.step_dt / memory_s)
         # Starts as if every robot fell and none walked: nothing is withdrawn before they have proven themselves.
         self._falls = torch.ones((), device=env.device)  # per second
@@ -167,11 +173,12 @@ class HarnessCurriculum(CurriculumTerm):
         share = torch.where(commanded > 0.0, walked / commanded, self._speed)
         self._falls = torch.lerp(falls, self._falls, self._keep)
         self._speed = torch.lerp(share, self._speed, self._keep)
-        able = (self._falls < self._most_falls) & (self._speed > self._least_speed)
-        harness, step = self._harness, self._rate * env.step_dt * able
-        unaided = harness.scale <= 0.0
-        harness.strictness = (harness.strictness + step * unaided).clamp(max=1.0)
-        harness.scale = (harness.scale - step).clamp(min=0.0)
+        harness, step = self._harness, self._rate * env.step_dt
+        walking, unaided = self._speed > self._least_speed, harness.scale <= 0.0
+        stricter = unaided & walking & (self._falls < self._most_falls_unaided)
+        looser = walking & (self._falls < self._most_falls)
+        harness.strictness = (harness.strictness + step * stricter).clamp(max=1.0)
+        harness.scale = (harness.scale - step * looser).clamp(min=0.0)
         return harness.scale
 
     def state_dict(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from torch import Tensor
 
 from humoslope.managers.terms import StatefulTerm
+from humoslope.mdp.footfalls import TimeOnOneLeg
 from humoslope.mdp.rate import RateOfChange
 from humoslope.mdp.selection import Joints, joint_mask
 from humoslope.ranges import NotNegative, Positive, Range
@@ -31,21 +32,15 @@ class FeetAirTime(StatefulTerm):
 
     def __init__(self, env: Env, threshold: Positive, least_command: NotNegative = 0.1) -> None:
         self._threshold, self._least = threshold, least_command
-        self._contact = env.signals.foot_contact
-        self._steps = env.zeros(2)  # [N, 2] control steps in which the foot has been down or up
+        self._time = TimeOnOneLeg(env)
 
     def __call__(self, env: Env) -> Tensor:
-        contact = env.signals.foot_contact
-        self._steps = self._steps.masked_fill(contact != self._contact, 0.0) + 1.0
-        self._contact = contact
-        single = contact[:, 0] != contact[:, 1]
         asked = env.commands.velocity[:, :2].norm(dim=1) > self._least
-        time = (self._steps.amin(dim=1) * env.step_dt).clamp(max=self._threshold)
-        return time * (single & asked)
+        return self._time(env).clamp(max=self._threshold) * asked
 
     def reset(self, mask: Tensor) -> None:
         """Sets the times of the envs in `mask` to zero."""
-        self._steps = self._steps.masked_fill(mask[:, None], 0.0)
+        self._time.reset(mask)
 
 
 class AccelerationOfJointsL2(StatefulTerm):

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from humoslope.managers.terms import StatefulTerm
+from humoslope.mdp.footfalls import Landings
 from humoslope.mdp.rate import RateOfChange
 from humoslope.mdp.selection import JointPair, Joints, joint_mask, joint_pair
 from humoslope.ranges import NotNegative, Positive, Range, Share
@@ -215,7 +216,7 @@ class SingleStance(StatefulTerm):
 
     def __init__(self, env: Env, cap: Positive, transfer: NotNegative = 0.0) -> None:
         self._cap, self._transfer = cap, transfer
-        self._landings = _Landings(env)
+        self._landings = Landings(env)
         self._since = env.zeros()  # [N] s since a foot last landed
 
     def __call__(self, env: Env) -> Tensor:
@@ -236,7 +237,7 @@ class LandingRate(StatefulTerm):
     """Landings of feet per second: a price on every step, so that few long ones are better than many short ones."""
 
     def __init__(self, env: Env) -> None:
-        self._landings = _Landings(env)
+        self._landings = Landings(env)
 
     def __call__(self, env: Env) -> Tensor:
         return self._landings(env).sum(dim=1) / env.step_dt
@@ -244,19 +245,3 @@ class LandingRate(StatefulTerm):
     def reset(self, mask: Tensor) -> None:
         """Forgets the contacts of the envs in `mask`."""
         self._landings.reset(mask)
-
-
-class _Landings:
-    """Feet that touch the ground and did not one step before; none in the first step of an episode."""
-
-    def __init__(self, env: Env) -> None:
-        self._before = torch.ones_like(env.signals.foot_contact)
-
-    def __call__(self, env: Env) -> Tensor:
-        """[N, 2] bool."""
-        contact = env.signals.foot_contact
-        landed, self._before = contact & ~self._before, contact
-        return landed
-
-    def reset(self, mask: Tensor) -> None:
-        self._before = self._before | mask[:, None]

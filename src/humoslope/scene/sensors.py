@@ -32,6 +32,7 @@ def add_robot_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
     add("torso_ang_vel_w", mjtSensor.mjSENS_FRAMEANGVEL, mjtObj.mjOBJ_XBODY, robot.torso_body)
     add("com_pos_w", mjtSensor.mjSENS_SUBTREECOM, mjtObj.mjOBJ_BODY, robot.root_body)
     add("com_lin_vel_w", mjtSensor.mjSENS_SUBTREELINVEL, mjtObj.mjOBJ_BODY, robot.root_body)
+    add("com_ang_mom_w", mjtSensor.mjSENS_SUBTREEANGMOM, mjtObj.mjOBJ_BODY, robot.root_body)
     for signal, kind in (
         ("foot_pos_w", mjtSensor.mjSENS_FRAMEPOS),
         ("foot_normal_w", mjtSensor.mjSENS_FRAMEZAXIS),

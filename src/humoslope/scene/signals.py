@@ -41,6 +41,7 @@ class Signals:
         torso_ang_vel_w: [N, 3] angular velocity of the torso, rad/s.
         com_pos_w: [N, 3] centre of mass of the whole robot, m.
         com_lin_vel_w: [N, 3] velocity of the centre of mass, m/s.
+        com_ang_mom_w: [N, 3] angular momentum of the whole robot about its centre of mass, kg m^2/s.
         com_height: [N] height of the centre of mass above the ground below it, m.
         foot_pos_w: [N, 2, 3] sole centres, left and right, m.
         foot_normal_w: [N, 2, 3] up axes of the soles.
@@ -94,6 +95,7 @@ class Signals:
         self.torso_ang_vel_w = data[:, take["torso_ang_vel_w"]]
         self.com_pos_w = data[:, take["com_pos_w"]]
         self.com_lin_vel_w = data[:, take["com_lin_vel_w"]]
+        self.com_ang_mom_w = data[:, take["com_ang_mom_w"]]
         self.foot_pos_w = feet("foot_pos_w")
         self.foot_normal_w = feet("foot_normal_w")
         self.foot_lin_vel_w = feet("foot_lin_vel_w")
