@@ -80,9 +80,9 @@ class GaitPhase(StatefulTerm):
 
 FUNCTIONS: dict[str, Any] = {
     **{
-        func.measured_quantity: func
+        vars(func)["measured_quantity"]: func
         for func in vars(observations).values()
-        if hasattr(func, "measured_quantity") and inspect.isfunction(func)
+        if inspect.isfunction(func) and "measured_quantity" in vars(func)
     },
     "linear_velocity_command": linear_velocity_command,
     "yaw_rate_command": yaw_rate_command,
@@ -105,7 +105,8 @@ class OnnxActor:
 
     def __call__(self, obs: TensorDict) -> Tensor:
         """Actions [N, J] for the observations of all envs."""
-        arrays = {str(group): value.cpu().numpy() for group, value in obs.items()}
+        groups: Any = obs.items()
+        arrays = {str(group): value.cpu().numpy() for group, value in groups}
         rows = [{group: value[i] for group, value in arrays.items()} for i in range(obs.batch_size[0])]
         actions = np.stack([self._policy(row) for row in rows])
         return torch.from_numpy(actions).to(self._device, torch.float32)

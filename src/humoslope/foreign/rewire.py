@@ -162,7 +162,7 @@ class _Chain:
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
 
-    def add(self, kind: str, constant: NDArray[Any], **attributes: int) -> None:
+    def add(self, kind: str, constant: NDArray[Any], **attributes: Any) -> None:
         """Adds a node with the present end and a constant as inputs."""
         step = f"{self._prefix}/{len(self._nodes)}_{kind.lower()}"
         self._constants.append(numpy_helper.from_array(constant, f"{step}_constant"))
