@@ -10,7 +10,7 @@ need = $(if $($(1)),$($(1)),$(error $@ needs $(1)=..., such as `make $@ $(1)=$(2
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo train-stage1 train-stage2 calibrate ramps evaluate table1 table2 figures curve compare record replay video meshes \
-  dashboard report export play terrain bench check-device campaign reproduce recipe drills wheel test lint types docs check format clean
+  dashboard report export import play terrain bench check-device campaign reproduce recipe drills wheel test lint types docs check format clean
 
 help: ## List these verbs
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / {printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -79,6 +79,9 @@ video: $(STAMP) ## Make an mp4 and a contact sheet of ROLLOUT, without a display
 
 export: $(STAMP) ## Export CHECKPOINT: ONNX, a contract, and Unitree's deploy.yaml
 	$(BIN)/humoslope export $(call need,CHECKPOINT,logs/.../model_1000.pt) $(ARGS)
+
+import: $(STAMP) ## Make an export of SOURCE, a policy that was trained elsewhere: an ONNX file, a deploy.yaml, or holosoma-ppo
+	$(BIN)/humoslope import $(call need,SOURCE,holosoma-ppo) $(ARGS)
 
 play: $(STAMP) ## Walk with the export in DIR, steered by keys, sliders or a gamepad; ARGS="--headless --trials 64" counts falls
 	$(BIN)/humoslope play $(call need,DIR,logs/.../model_1000.export) $(ARGS)

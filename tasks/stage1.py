@@ -137,7 +137,7 @@ def all_directions(**changes: Any) -> VelocityCommandCfg:
     """Commands to walk forward, and on hillsides backward, to the sides and turning in place too; and to stand."""
     return VelocityCommandCfg(
         yaw_rate=(-0.6, 0.6),
-        standing_share=0.08,
+        standing_share=0.12,
         resample_s=(4.0, 10.0),
         modes={"forward": 0.55, "backward": 0.15, "sideways": 0.15, "turning": 0.15},
         backward=(0.2, 0.5),
@@ -193,7 +193,9 @@ def randomisation() -> Terms[EventTermCfg]:
         friction=EventTermCfg(events.randomize_friction, {"friction": (0.3, 1.6), "slope_margin": 0.15}),
         root=EventTermCfg(events.ResetOnTile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
         joints=EventTermCfg(events.reset_joints, {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}),
-        push=EventTermCfg(events.push, {"speed": 1.0, "harness": "harness"}, mode="interval", interval_s=(5.0, 8.0)),
+        push=EventTermCfg(
+            events.push, {"speed": 1.0, "harness": "harness", "full_level": 4}, mode="interval", interval_s=(5.0, 8.0)
+        ),
         harness=EventTermCfg(harness.Harness, {"support": 0.5}, mode="step"),
     )
 

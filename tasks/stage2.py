@@ -77,7 +77,7 @@ def unaided() -> Terms[EventTermCfg]:
     """Stage I's randomisation without the harness, as the actor can walk."""
     events = randomisation()
     events.harness = None
-    del events.push.params["harness"]
+    events.push.params = {"speed": events.push.params["speed"]}  # in full, wherever it walks
     return events
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from humoslope import shipped
 from humoslope.errors import UserError, unknown
@@ -47,6 +48,7 @@ class TaskCfg(StrictCfg):
     start: WarmStartCfg | None = None
 
 
+T = TypeVar("T")
 TaskFunction = Callable[[], TaskCfg]
 
 _tasks: dict[str, TaskFunction] = {}
@@ -88,6 +90,14 @@ def content_packages() -> tuple[str, ...]:
     """Returns the packages that hold registered tasks and the content that they use."""
     homes = (func.__module__.partition(".")[0] for func in _tasks.values())
     return tuple(dict.fromkeys(["tasks", "robots", "terrains", *homes]))
+
+
+def content_of(kind: type[T]) -> list[T]:
+    """Returns the instances of a class, such as `Robot`, at the top level of the loaded modules of content."""
+    homes = content_packages()
+    modules = [module for name, module in sorted(sys.modules.items()) if name.partition(".")[0] in homes]
+    found = [thing for module in modules for thing in vars(module).values() if isinstance(thing, kind)]
+    return list({id(thing): thing for thing in found}.values())
 
 
 def load_content() -> None:

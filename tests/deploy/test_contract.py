@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from humoslope.deploy import contract as contracts
-from humoslope.deploy.contract import Contract, ObservationGroup, Term
+from humoslope.deploy.contract import Contract, GaitClock, ObservationGroup, Term
 from humoslope.deploy.quantities import QUANTITIES
 from humoslope.errors import UserError
 from humoslope.registry import build_task
@@ -266,9 +266,37 @@ def test_any_contract_comes_back_from_its_text_unchanged(
 ) -> None:
     groups, inputs = data.draw(contracts_of_many_groups(len(contract.joints)))
     joints = tuple(replace(joint, default_rad=data.draw(floats)) for joint in contract.joints)
-    written = replace(contract, joints=joints, observations=groups, network=replace(contract.network, inputs=inputs))
+    clock = GaitClock(data.draw(st.floats(1e-3, 10.0)), (data.draw(floats), data.draw(floats)), data.draw(floats))
+    network = replace(contract.network, inputs=inputs)
+    written = replace(contract, joints=joints, observations=groups, network=network, gait_clock=clock)
     (tmp_path / contracts.FILE).write_text(written.to_json(), encoding="utf-8")
     assert contracts.read(tmp_path) == written
+
+
+def test_a_phase_without_a_clock_and_a_clock_without_a_gait_are_refused(contract: Contract) -> None:
+    (group,) = contract.observations
+    phase = replace(group.terms[0], name="phase", quantity="gait_phase_sine", components=("left", "right"), shape=(2,))
+    (end,) = contract.network.inputs
+    one = replace(group, terms=(phase,), history=1)
+    network = replace(contract.network, inputs=(replace(end, shape=(1, 2)),))
+    seen = replace(contract, observations=(one,), network=network)
+    with pytest.raises(UserError, match="term 'phase' is gait_phase_sine, but the contract has no gait_clock"):
+        contracts.check(seen)
+    for clock in (GaitClock(0.0, (0.0, 0.0), 0.1), GaitClock(1.0, (0.0,), 0.1)):
+        with pytest.raises(UserError, match="gait_clock: its period must be positive, and there must be an offset"):
+            contracts.check(replace(seen, gait_clock=clock))
+    contracts.check(replace(seen, gait_clock=GaitClock(1.0, (0.0, 0.0), 0.1)))
+
+
+def test_what_an_older_reader_does_not_know_is_only_written_where_it_is_used(contract: Contract) -> None:
+    assert {"gait_clock", "origin"}.isdisjoint(
+        json.loads(contract.to_json()) | json.loads(contract.to_json())["training"]
+    )
+    training = replace(contract.training, origin="elsewhere", iteration=None)
+    used = replace(contract, training=training, gait_clock=GaitClock(1.0, (0.0, 3.0), 0.1))
+    raw = json.loads(used.to_json())
+    assert raw["gait_clock"] == {"period_s": 1.0, "offsets_rad": [0.0, 3.0], "rest_below": 0.1}
+    assert (raw["training"]["origin"], raw["training"]["iteration"]) == ("elsewhere", None)
 
 
 def test_two_inputs_of_one_name_are_refused(spoil: Callable[..., Path]) -> None:

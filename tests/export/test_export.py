@@ -27,8 +27,9 @@ from humoslope.deploy.quantities import QUANTITIES
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.export import policy as exporting
+from humoslope.export.folder import model_xml
 from humoslope.export.onnx import largest_difference, network_inputs, translate
-from humoslope.export.policy import export, make_contract, record_observations, robot_xml
+from humoslope.export.policy import export, make_contract, record_observations
 from humoslope.learning.policy import Actor, load_actor
 from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms
 from humoslope.mdp import observations as observations_of
@@ -97,7 +98,8 @@ def test_the_contract_says_where_the_policy_comes_from(exported: Path, stage1_ch
 
 def test_the_model_file_is_the_robot(env: ManagerBasedRlEnv) -> None:
     """Six digits are what MuJoCo writes; drives, sensors and ground are the contract's and the player's."""
-    written = mujoco.MjModel.from_xml_string(robot_xml(env))
+    option = env.sim.model.opt
+    written = mujoco.MjModel.from_xml_string(model_xml(env.robot, option.timestep, option.cone))
     original = UNITREE_G1_SOLID.make_spec().compile()
     assert (written.nu, written.nsensor, written.nkey) == (0, 0, 0)
     assert (written.nq, written.ngeom, written.nsite) == (original.nq, original.ngeom, original.nsite)

@@ -153,8 +153,27 @@ def test_a_push_grows_with_the_strictness_of_the_harness(make_env, strictness, m
     qvel = torch.zeros(2000, 35)
     env = make_env(2000, sim=SimpleNamespace(state=lambda field: qvel))
     env.events = {"harness": SimpleNamespace(strictness=torch.tensor(strictness))}
-    events.push(env, torch.ones(2000, dtype=torch.bool), speed=0.5, harness="harness", harnessed=0.4)
+    events.push(env, torch.ones(2000, dtype=torch.bool), speed=0.5, harness="harness", least=0.4)
     assert 0.99 * most < qvel.abs().max() <= most + 1e-6
+
+
+@pytest.mark.parametrize(("strictness", "most"), [(0.0, [0.2, 0.2, 0.2]), (0.5, [0.2, 0.275, 0.35])])
+def test_a_push_grows_with_the_level_until_it_is_full(make_env, strictness, most):
+    qvel, level = torch.zeros(6000, 35), torch.tensor([0, 2, 4, 8]).repeat(1500)
+    env = make_env(6000, sim=SimpleNamespace(state=lambda field: qvel))
+    env.tiles = SimpleNamespace(level=level)
+    env.events = {"harness": SimpleNamespace(strictness=torch.tensor(strictness))}
+    events.push(env, torch.ones(6000, dtype=torch.bool), speed=0.5, harness="harness", full_level=4, least=0.4)
+    for tile, largest in zip((0, 2, 4, 8), [*most, most[-1]], strict=True):
+        assert 0.99 * largest < qvel[level == tile].abs().max() <= largest + 1e-6
+
+
+def test_a_push_grows_with_the_level_without_a_harness_too(make_env):
+    qvel, level = torch.zeros(4000, 35), torch.tensor([1, 2]).repeat(2000)
+    env = make_env(4000, sim=SimpleNamespace(state=lambda field: qvel), tiles=SimpleNamespace(level=level))
+    events.push(env, torch.ones(4000, dtype=torch.bool), speed=0.5, full_level=2, least=0.0)
+    assert 0.247 < qvel[level == 1].abs().max() <= 0.25
+    assert 0.495 < qvel[level == 2].abs().max() <= 0.5
 
 
 def test_joints_start_near_their_default_and_never_beyond_their_range(make_env):

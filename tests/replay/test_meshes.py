@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import io
-import os
-import threading
-import zipfile
 from collections.abc import Iterator
-from functools import cache, partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +19,7 @@ from humoslope.replay.rollout import Rollout
 from humoslope.scene.robot import MeshSource, MeshVisual
 from humoslope.seal import SUMS
 from robots.unitree_g1 import UNITREE_G1
+from tests.package_index import index_of, toy_wheel
 
 RED, BLUE = (255, 0, 0), (0, 0, 255)
 
@@ -31,14 +27,12 @@ RED, BLUE = (255, 0, 0), (0, 0, 255)
 @cache
 def wheel() -> bytes:
     """A package with a box and a ball."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        archive.writestr("toys/meshes/box.STL", trimesh.creation.box((0.2, 0.4, 0.6)).export(file_type="stl"))
-        archive.writestr("toys/meshes/ball.STL", trimesh.creation.icosphere(radius=0.1).export(file_type="stl"))
-        archive.writestr("toys-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: toys\nVersion: 1.0\n")
-        archive.writestr("toys-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
-        archive.writestr("toys-1.0.dist-info/RECORD", "")
-    return content.getvalue()
+    return toy_wheel(
+        {
+            "toys/meshes/box.STL": trimesh.creation.box((0.2, 0.4, 0.6)).export(file_type="stl"),
+            "toys/meshes/ball.STL": trimesh.creation.icosphere(radius=0.1).export(file_type="stl"),
+        }
+    )
 
 
 @pytest.fixture(scope="module")
@@ -54,26 +48,8 @@ def source() -> MeshSource:
 
 @pytest.fixture
 def index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The address of an index that has the package and nothing else; pip knows no other."""
-
-    class Quiet(SimpleHTTPRequestHandler):
-        def log_message(self, format: str, *args: object) -> None:
-            pass
-
-    folder = tmp_path / "index" / "toys"
-    folder.mkdir(parents=True)
-    (folder / "toys-1.0-py3-none-any.whl").write_bytes(wheel())
-    (folder / "index.html").write_text('<a href="toys-1.0-py3-none-any.whl">toys-1.0-py3-none-any.whl</a>')
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path / "index")))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    for name in ("PIP_FIND_LINKS", "PIP_EXTRA_INDEX_URL", "PIP_NO_INDEX"):
-        monkeypatch.delenv(name, raising=False)
-    address = f"http://127.0.0.1:{server.server_port}"
-    for name, value in (("CONFIG_FILE", os.devnull), ("INDEX_URL", address), ("RETRIES", "0"), ("NO_CACHE_DIR", "1")):
-        monkeypatch.setenv(f"PIP_{name}", value)
-    yield address
-    server.shutdown()
-    server.server_close()
+    with index_of(wheel(), tmp_path, monkeypatch) as address:
+        yield address
 
 
 def test_fetched_meshes_are_worn_by_their_links(source: MeshSource, index: str, tmp_path: Path) -> None:

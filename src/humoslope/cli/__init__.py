@@ -35,6 +35,7 @@ VERBS = {
     "meshes": "Fetch the real meshes of a robot, for replay and video.",
     "upgrade": "Rewrite a checkpoint of an older version in the format of this one.",
     "export": "Export a checkpoint to ONNX and a contract.",
+    "import": "Make an export of a policy that was trained elsewhere.",
     "play": "Run an exported policy in plain MuJoCo.",
     "deploy": "Run an exported policy on a robot, or on a simulated one.",
     "robot": "Simulate a robot for `humoslope deploy`, on the loopback interface.",

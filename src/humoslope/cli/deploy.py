@@ -32,7 +32,7 @@ from humoslope.deploy.onboard.pace import Pace, pace_on
 from humoslope.deploy.onboard.pilot import Pilot
 from humoslope.deploy.onboard.session import Session
 from humoslope.deploy.onboard.states import Mode
-from humoslope.deploy.onboard.unitree_g1 import MODE_MACHINE, motor_of_joint
+from humoslope.deploy.onboard.unitree_g1 import MODE_MACHINE, motor_of_joint, require_measured
 from humoslope.deploy.onboard.unitree_link import UnitreeLink, load_sdk
 from humoslope.errors import UserError
 from humoslope.files import check_place
@@ -88,6 +88,7 @@ def run(arguments: list[str]) -> None:
     pace = pace_on(options.interface, options.slower)
     contract = contracts.read(options.folder)
     motor_of_joint(contract)
+    require_measured(contract)
     controller = Controller(contract, OnnxPolicy(options.folder, contract.network))
     _check_speed(options.speed, contract)
     load_sdk(options.interface)
@@ -189,7 +190,7 @@ def _introduction(contract: Contract, options: Options) -> str:
     timing, training = contract.timing, contract.training
     dry = "[bold]dry run: nothing is sent to the motors[/bold]\n" if options.dry_run else ""
     return (
-        f"[bold]{training.task}[/bold], iteration {training.iteration}, on {options.interface}\n{dry}"
+        f"[bold]{training.title}[/bold], on {options.interface}\n{dry}"
         f"{1.0 / timing.control_step_s:g} commands a second, observations {1e3 * timing.observation_age_s:g} ms old\n"
         "[bold]Never tried on a real robot. Keep the gantry on, and the remote (select stops) in your hand.[/bold]\n"
         f"remote: start, A to walk, select or L2+B to stop; keys: {pilot.KEYS}"

@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from humoslope.cli.arguments import parse_options
-from humoslope.cli.measure import trained
+from humoslope.cli.measure import subject
 from humoslope.errors import UserError
 from humoslope.evaluation.track.protocol import HeldOutProtocol, sweep_protocol
 from humoslope.evaluation.track.run import Plan, evaluate
@@ -41,9 +41,10 @@ class Options(Kind):
     interrupted continues when the same command is given again, and one with more --trials builds on one with fewer.
 
     Attributes:
-        checkpoints: Checkpoints of one method; a run folder stands for its newest one.
+        checkpoints: Checkpoints of one method; a run folder stands for its newest one. Export folders are taken as
+            well, also of imported policies.
         protocol: Settings of the benchmark.
-        out: Path of the results without ending; by default beside the first checkpoint.
+        out: Path of the results without ending; by default beside the first checkpoint, or in the export folder.
         parallel_trials: Number of trials of a cell that run side by side.
         fresh: Walk all trials again and ignore those that were saved before.
     """
@@ -68,7 +69,7 @@ def run(arguments: list[str]) -> None:
         options.out,
         shlex.join(["humoslope", "evaluate", *arguments]),
     )
-    if stopped_by := evaluate([trained(path) for path in options.checkpoints], plan, Console()):
+    if stopped_by := evaluate([subject(path) for path in options.checkpoints], plan, Console()):
         raise Terminated(stopped_by)
 
 

@@ -12,7 +12,8 @@ from humoslope.cli.measure import trained
 from humoslope.deploy.contract import FILE
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
-from humoslope.export.policy import DEPLOY, MODEL, ONNX, export, record_observations
+from humoslope.export.folder import DEPLOY, MODEL, ONNX
+from humoslope.export.policy import export, record_observations
 from humoslope.files import check_place
 from humoslope.learning.policy import load_actor, read_spec
 

@@ -13,8 +13,11 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 import humoslope
 from humoslope.cli.options import configuration_of
+from humoslope.deploy import contract as contracts
 from humoslope.env import ManagerBasedRlEnv
+from humoslope.evaluation.exports import of_export
 from humoslope.evaluation.ramps import RampProtocol
+from humoslope.evaluation.subject import Subject, of_checkpoint
 from humoslope.learning import checkpoint as checkpoints
 from humoslope.learning.configuration import changes_since, trained_cfg
 from humoslope.learning.policy import Provenance, find_checkpoint, provenance_of, spec_of
@@ -45,12 +48,24 @@ def trained(checkpoint: Path) -> tuple[Provenance, TaskCfg]:
     return provenance, cfg
 
 
+def subject(path: Path) -> Subject:
+    """A policy to be measured: a checkpoint, the newest one of a run folder, or an export.
+
+    Raises:
+        UserError: If it is none of them, or of a task or a robot that is not registered.
+    """
+    if (path / contracts.FILE).is_file():
+        load_content()
+        return of_export(path)
+    return of_checkpoint(*trained(path))
+
+
 def introduce(console: Console, env: ManagerBasedRlEnv, provenance: Provenance, protocol: RampProtocol) -> None:
     """Prints which checkpoint walks on which ground, in which physics."""
-    sim, seen = env.cfg.sim, f"{provenance.total_steps / 1e6:.2f} M steps"
+    sim = env.cfg.sim
     friction = f"friction max({protocol.friction:g}, tan|grade| + {protocol.friction_margin:g})"
     console.print(
-        f"[bold]{provenance.name}[/bold], iteration {provenance.iteration}, {seen}\n"
+        f"[bold]{provenance.title}[/bold], {provenance.seen}\n"
         f"{env.num_envs} envs, {protocol.starts} for each of {len(protocol.grades)} grades; "
         f"{protocol.in_words} for {protocol.seconds:g} s; {friction}\n"
         f"physics '{env.sim.backend}' on {env.device}, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone; "

@@ -99,7 +99,7 @@ def _introduction(contract: Contract, cfg: TrialCfg, conditions: Conditions) -> 
     aside = f", {abs(cfg.lateral):g} m/s to the {'left' if cfg.lateral > 0.0 else 'right'}" if cfg.lateral else ""
     asked = "asked to stand" if cfg.stands else f"{cfg.speed:g} m/s{aside}{turning} asked"
     text = (
-        f"[bold]{training.task}[/bold], iteration {training.iteration}, on {contract.robot.name}\n"
+        f"[bold]{training.title}[/bold], on {contract.robot.name}\n"
         f"{ground}, friction {cfg.friction:.3g}, {asked}; MuJoCo at "
         f"{timestep * 1e3:g} ms x {round(timing.control_step_s / timestep)}"
     )

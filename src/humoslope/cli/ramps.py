@@ -11,11 +11,10 @@ import tyro
 from rich.console import Console
 
 from humoslope.cli.arguments import parse_options
-from humoslope.cli.measure import describe, introduce, trained, walking, warn
+from humoslope.cli.measure import describe, introduce, subject, walking, warn
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg, run_trials, summarise, table
 from humoslope.files import check_place
-from humoslope.learning.policy import load_actor, read_spec
 from humoslope.provenance import plain
 from humoslope.ranges import Checked
 from humoslope.seal import write_json
@@ -30,9 +29,11 @@ class Options(Checked):
     place (--speed 0 --yaw-rate 0.6), and be pushed (--push 1.0).
 
     Attributes:
-        checkpoint: Path of a checkpoint; a run folder stands for its newest one.
+        checkpoint: Path of a checkpoint; a run folder stands for its newest one. An export folder is taken
+            as well, also of an imported policy.
         protocol: Settings of the measurement.
-        out: Path of the JSON file with the results; by default beside the checkpoint.
+        out: Path of the JSON file with the results; by default beside the checkpoint, or in the export
+            folder.
     """
 
     VERB: ClassVar[str] = "ramps"
@@ -45,13 +46,13 @@ class Options(Checked):
 def run(arguments: list[str]) -> None:
     """Evaluates the checkpoint named in `arguments`."""
     options = parse_options(Options, arguments, "ramps")
-    provenance, task = trained(options.checkpoint)
-    out = options.out or provenance.path.with_suffix(".ramps.json")
+    measured = subject(options.checkpoint)
+    provenance, out = measured.provenance, options.out or measured.beside("ramps.json")
     check_place(out)
 
     protocol, console = options.protocol, Console()
-    env = ManagerBasedRlEnv(ramp_env_cfg(task.env, protocol, read_spec(provenance.path).groups))
-    actor = load_actor(provenance.path, env, provenance.task)
+    env = ManagerBasedRlEnv(ramp_env_cfg(measured.env, protocol, measured.groups))
+    actor = measured.load(env)
     introduce(console, env, provenance, protocol)
     started = time.monotonic()
     with walking(console, env, protocol.seconds) as on_step:

@@ -220,7 +220,7 @@ def _introduce_origin(console: Console, cfg: TaskCfg, origin: Origin) -> None:
         return
     console.print(
         f"Starts from the actor of {parent.path}: {parent.task}, iteration {parent.iteration}, "
-        f"{parent.total_steps / 1e6:.2f} M steps. {parent.training} {origin.calibration}",
+        f"{parent.seen}. {parent.training} {origin.calibration}",
         soft_wrap=True,
         highlight=False,
     )

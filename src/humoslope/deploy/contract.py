@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from humoslope.deploy.quantities import CUSTOM, QUANTITIES
+from humoslope.deploy.quantities import CUSTOM, FEET, QUANTITIES
 from humoslope.deploy.typed_json import typed
 from humoslope.errors import UserError, unknown
 from humoslope.seal import check_sums
@@ -36,22 +36,29 @@ class Training:
     """Origin of the policy; not needed to run it.
 
     Attributes:
-        task: Registered name of the task.
-        checkpoint: File name of the checkpoint.
-        sha256: SHA-256 of the checkpoint, hexadecimal.
-        iteration: Number of training iterations before the checkpoint.
-        environment_steps: Number of control steps, summed over all environments.
+        task: Registered name of the task; of a policy from outside, its name.
+        checkpoint: File name of the checkpoint; of a policy from outside, of its network.
+        sha256: SHA-256 of that file, hexadecimal.
+        iteration: Number of training iterations before the checkpoint; null if that is not known.
+        environment_steps: Number of control steps, summed over all environments; null if that is not known.
         harness: Scale in [0, 1] of the training harness at the end; null if there was none.
         started_from: Training that this one continued from; null if it started from random weights.
+        origin: Where it was trained, if not with HumoSlope; else empty.
     """
 
     task: str
     checkpoint: str
     sha256: str
-    iteration: int
-    environment_steps: int
+    iteration: int | None
+    environment_steps: int | None
     harness: float | None
     started_from: Training | None
+    origin: str = ""
+
+    @property
+    def title(self) -> str:
+        """The policy in a few words, such as "HumoSlope-Stage1-Unitree-G1, iteration 2969"."""
+        return f"{self.task}, {self.origin or f'iteration {self.iteration}'}"
 
 
 @dataclass(frozen=True)
@@ -276,6 +283,25 @@ class Fall:
 
 
 @dataclass(frozen=True)
+class GaitClock:
+    """Clock of a gait, which a policy sees as phases of the feet.
+
+    While the robot is commanded to move, each phase grows by 2 pi in a period; at the first control step of a motion,
+    also after a rest, it is the foot's offset. At rest every phase is pi.
+
+    Attributes:
+        period_s: Duration of a gait cycle.
+        offsets_rad: Phases of the left and the right foot at the first step of a motion.
+        rest_below: The robot is at rest while the commanded speed, m/s, and the size of the yaw rate, rad/s, are both
+            below this.
+    """
+
+    period_s: float
+    offsets_rad: tuple[float, ...]
+    rest_below: float
+
+
+@dataclass(frozen=True)
 class Contract:
     """Contract of an exported policy; see the module.
 
@@ -293,6 +319,7 @@ class Contract:
         observations: Observation groups in the order of the network's inputs.
         commands: Commands that the policy was trained with.
         fall: Definition of a fall.
+        gait_clock: Clock that the policy sees; null if it sees none.
     """
 
     format: Literal["humoslope-policy"]
@@ -308,6 +335,7 @@ class Contract:
     observations: tuple[ObservationGroup, ...]
     commands: Commands
     fall: Fall
+    gait_clock: GaitClock | None = None
 
     @property
     def decimation(self) -> int:
@@ -316,7 +344,7 @@ class Contract:
 
     def to_json(self) -> str:
         """The contract as JSON, with values on one line where they fit."""
-        return _pretty(asdict(self), "") + "\n"
+        return _pretty(_written(self), "") + "\n"
 
 
 def read(folder: Path) -> Contract:
@@ -341,7 +369,7 @@ def read(folder: Path) -> Contract:
         raise UserError(f"contract '{path}' has version {version}; this program reads versions 1 to {VERSION}.")
     try:
         contract = typed(Contract, _from_version_1(raw) if version == 1 else raw)
-        _check(contract)
+        check(contract)
     except UserError as error:
         raise UserError(f"contract '{path}': {error}") from None
     except RecursionError:
@@ -374,8 +402,17 @@ def _from_version_1(raw: dict[str, Any]) -> dict[str, Any]:
     return raw | changed | {"version": VERSION}
 
 
-def _check(contract: Contract) -> None:
-    """Raises UserError where values make no sense or parts do not fit together."""
+def _written(value: Any) -> Any:
+    """A contract as `json` writes it. A field that was added later is left out while it has its default, so that an
+    older reader of the same version takes what needs no more than it knows."""
+    if is_dataclass(value):
+        known = ((field, getattr(value, field.name)) for field in fields(value))
+        return {f.name: _written(v) for f, v in known if f.default is MISSING or v != f.default}
+    return [_written(item) for item in value] if isinstance(value, tuple) else value
+
+
+def check(contract: Contract) -> None:
+    """Raises UserError where values make no sense or parts do not fit together; `read` does so as well."""
     joints, timing, robot, network = contract.joints, contract.timing, contract.robot, contract.network
     if min(timing.control_step_s, timing.physics_step_s) <= 0.0 or contract.decimation < 1:
         raise UserError("timing: a step must be positive, and the physics step no longer than the control step.")
@@ -402,6 +439,9 @@ def _check(contract: Contract) -> None:
     ):
         if low > high:
             raise UserError(f"commands: {kind} [{low:g}, {high:g}] must be lowest first.")
+    clock = contract.gait_clock
+    if clock is not None and not (clock.period_s > 0.0 and len(clock.offsets_rad) == len(FEET)):
+        raise UserError("gait_clock: its period must be positive, and there must be an offset for each of two feet.")
     _check_observations(contract)
 
 
@@ -429,6 +469,8 @@ def _check_observations(contract: Contract) -> None:
             raise UserError(f"group '{group.name}': it must have terms, and a history of at least 1.")
         for term in group.terms:
             _check_term(term, len(contract.joints))
+            if term.quantity.startswith("gait_phase") and contract.gait_clock is None:
+                raise UserError(f"term '{term.name}' is {term.quantity}, but the contract has no gait_clock.")
         if group.shape != end.shape:
             raise UserError(
                 f"the terms of group '{group.name}' have shape {list(group.shape)} together, but input '{end.name}' "

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from humoslope.deploy.contract import Contract, Network, ObservationGroup
+from humoslope.deploy.contract import Contract, GaitClock, Network, ObservationGroup
 from humoslope.deploy.quantities import CUSTOM, QUANTITIES, Array, Measured
 from humoslope.errors import UserError
 
@@ -119,6 +121,32 @@ class Observer:
         return np.concatenate(parts).astype(np.float32)
 
 
+class GaitPhase:
+    """Phases of the feet by a contract's gait clock.
+
+    Args:
+        clock: The clock.
+        control_step_s: Period at which it is asked, s.
+    """
+
+    def __init__(self, clock: GaitClock, control_step_s: float) -> None:
+        self._clock, self._step = clock, 2.0 * math.pi * control_step_s / clock.period_s
+        self._offsets = np.array(clock.offsets_rad)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begins at rest."""
+        self._moved = 0  # control steps of the present motion
+
+    def __call__(self, command: Array) -> Array:
+        """Returns the phases [2], rad, of the next control step under a command [3]."""
+        if max(math.hypot(command[0], command[1]), abs(command[2])) < self._clock.rest_below:
+            self._moved = 0
+            return np.full_like(self._offsets, math.pi)
+        self._moved += 1
+        return self._offsets + self._step * (self._moved - 1)
+
+
 class Controller:
     """Observations, network and joint targets, with the history and the last action.
 
@@ -129,6 +157,8 @@ class Controller:
     def __init__(self, contract: Contract, policy: OnnxPolicy) -> None:
         self.observers = {group.name: Observer(group) for group in contract.observations}
         self._policy = policy
+        clock, step = contract.gait_clock, contract.timing.control_step_s
+        self._phase = None if clock is None else GaitPhase(clock, step)
         self._default = np.array([joint.default_rad for joint in contract.joints])
         self._scale = np.array([joint.action_scale_rad for joint in contract.joints])
         self.reset()
@@ -137,9 +167,13 @@ class Controller:
         """Clears the history and the last action."""
         for observe in self.observers.values():
             observe.reset()
+        if self._phase is not None:
+            self._phase.reset()
         self.last_action = np.zeros(len(self._default))
 
     def __call__(self, measured: Measured) -> Array:
         """Returns joint targets [J], rad."""
+        if self._phase is not None:
+            measured = replace(measured, gait_phase=self._phase(measured.command))
         self.last_action = self._policy({group: observe(measured) for group, observe in self.observers.items()})
         return self._default + self._scale * self.last_action

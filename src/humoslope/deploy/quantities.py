@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from humoslope.errors import UserError
 
 Array = NDArray[np.float64]
 
@@ -22,6 +24,8 @@ class Measured:
         joint_vel: [J] joint velocities, rad/s.
         command: [3] forward and lateral speed, m/s, and yaw rate, rad/s.
         last_action: [J] last output of the network; zero before the first one.
+        root_lin_vel_b: [3] velocity of the root in its own frame, m/s; None if nothing tells it, as on a robot.
+        gait_phase: [2] phases of the left and the right foot, rad; for contracts with a gait clock.
     """
 
     root_quat_w: Array
@@ -30,6 +34,8 @@ class Measured:
     joint_vel: Array
     command: Array
     last_action: Array
+    root_lin_vel_b: Array | None = None
+    gait_phase: Array = field(default_factory=lambda: np.zeros(2))
 
     @property
     def up_b(self) -> Array:
@@ -48,6 +54,7 @@ class Quantity:
         unit: Unit of each component.
         components: Names of the components in order; empty if there is one for each joint.
         read: Function that returns the components.
+        measured: True if a robot's encoders and IMU, the command and a clock are enough to tell it.
     """
 
     meaning: str
@@ -55,12 +62,21 @@ class Quantity:
     unit: tuple[str, ...]
     components: tuple[str, ...]
     read: Callable[[Measured], Array]
+    measured: bool = True
 
 
 CUSTOM = "custom"
 """Quantity of an observation that is none of `QUANTITIES`; only the code that it was trained with can compute it."""
 XYZ = ("x", "y", "z")
+FEET = ("left_foot", "right_foot")
 ROOT = "root body: x forward, y left, z up"
+
+
+def _velocity(measured: Measured) -> Array:
+    if measured.root_lin_vel_b is None:
+        raise UserError("root_linear_velocity is not measured here.")
+    return measured.root_lin_vel_b
+
 
 QUANTITIES = {
     "root_angular_velocity": Quantity(
@@ -83,6 +99,38 @@ QUANTITIES = {
         ("m/s", "m/s", "rad/s"),
         ("forward", "left", "yaw_rate"),
         lambda measured: measured.command,
+    ),
+    "linear_velocity_command": Quantity(
+        "Commanded speed of the root along the ground.",
+        "heading: forward along the ground in the direction of the root's yaw, left",
+        ("m/s",) * 2,
+        ("forward", "left"),
+        lambda measured: measured.command[:2],
+    ),
+    "yaw_rate_command": Quantity(
+        "Commanded yaw rate.", "heading: up", ("rad/s",), ("yaw_rate",), lambda measured: measured.command[2:]
+    ),
+    "gait_phase_sine": Quantity(
+        "Sine of each foot's phase by the contract's gait clock.",
+        "",
+        ("1",) * 2,
+        FEET,
+        lambda measured: np.sin(measured.gait_phase),
+    ),
+    "gait_phase_cosine": Quantity(
+        "Cosine of each foot's phase by the contract's gait clock.",
+        "",
+        ("1",) * 2,
+        FEET,
+        lambda measured: np.cos(measured.gait_phase),
+    ),
+    "root_linear_velocity": Quantity(
+        "Velocity of the root body's origin; known in simulation, and not measured by the robot.",
+        ROOT,
+        ("m/s",) * 3,
+        XYZ,
+        _velocity,
+        measured=False,
     ),
     "joint_position_offset": Quantity(
         "Position of each joint less its default_rad.", "", ("rad",), (), lambda measured: measured.joint_pos_rel

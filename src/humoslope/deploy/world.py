@@ -241,8 +241,11 @@ class World:
         """Returns the measurements of the instant that the contract prescribes."""
         i, j = self.free_pos, self.free_vel
         quat, ang_vel = self._sensed_pos[i + 3 : i + 7], self._sensed_vel[j + 3 : j + 6]
+        velocity, back = np.zeros(3), np.zeros(4)
+        mujoco.mju_negQuat(back, quat)
+        mujoco.mju_rotVecQuat(velocity, self._sensed_vel[j : j + 3], back)
         if self._imu_quat is not None:
-            true_quat, true_ang_vel, back = quat, ang_vel, np.zeros(4)
+            true_quat, true_ang_vel = quat, ang_vel
             quat, ang_vel = np.zeros(4), np.zeros(3)
             mujoco.mju_mulQuat(quat, true_quat, self._imu_quat)
             mujoco.mju_negQuat(back, self._imu_quat)
@@ -254,6 +257,7 @@ class World:
             joint_vel=self._sensed_vel[self._qvel],
             command=command,
             last_action=last_action,
+            root_lin_vel_b=velocity,
         )
 
     @property

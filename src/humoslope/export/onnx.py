@@ -18,10 +18,11 @@ from torch import Tensor, nn
 
 from humoslope.deploy.contract import NetworkInput
 from humoslope.deploy.controller import load_network
+from humoslope.export.folder import OUTPUT
 from humoslope.learning.policy import Actor
 
-INPUT, OUTPUT = "obs", "actions"
-"""Names of the input, if it is a single vector, and of the output, as Unitree's deployment has them."""
+INPUT = "obs"
+"""Name of the input, if it is a single vector, as Unitree's deployment has it."""
 OPSET = 18
 """rsl_rl's own; onnxruntime 1.22, which Unitree's deployment uses, runs it."""
 

@@ -94,19 +94,20 @@ class Provenance:
         path: The file.
         sha256: SHA-256 of the file, hexadecimal.
         task: Name of the trained task.
-        iteration: Number of training iterations before this one.
-        total_steps: Number of environment steps seen.
+        iteration: Number of training iterations before this one; None for a policy from outside.
+        total_steps: Number of environment steps seen; None for a policy from outside.
         harness: Scale in [0, 1] that the training harness had come down to; None if the run had no harness.
         parent: The checkpoint that its training started from; None if it started from nothing.
         formerly: SHA-256 of the files it was converted from, under which older results and calibrations know it.
-        variant: What sets its network apart from others of its task (see `PolicySpec.variant`).
+        variant: What sets its network apart from others of its task (see `PolicySpec.variant`), or where a policy from
+            outside comes from.
     """
 
     path: Path
     sha256: str
     task: str
-    iteration: int
-    total_steps: int
+    iteration: int | None
+    total_steps: int | None
     harness: float | None
     parent: Provenance | None = None
     formerly: tuple[str, ...] = ()
@@ -118,8 +119,20 @@ class Provenance:
         return f"{self.task}, {self.variant}" if self.variant else self.task
 
     @property
+    def title(self) -> str:
+        """The name, with the iteration if there is one."""
+        return self.name if self.iteration is None else f"{self.name}, iteration {self.iteration}"
+
+    @property
+    def seen(self) -> str:
+        """The environment steps seen, such as "62.74 M steps"."""
+        return "trained elsewhere" if self.total_steps is None else f"{self.total_steps / 1e6:.2f} M steps"
+
+    @property
     def training(self) -> str:
         """The assistance that its training had, in a sentence for each stage."""
+        if self.iteration is None:
+            return "It was trained elsewhere, and nothing is known here of its training."
         if self.harness is None:
             said = "Its training used no harness."
         else:
@@ -127,8 +140,7 @@ class Provenance:
             said = f"Its training used the harness, which {left} at this checkpoint."
         if self.parent is None:
             return said
-        steps = f"{self.parent.total_steps / 1e6:.2f} M steps"
-        return f"{said} It started from {self.parent.task} after {steps}: {self.parent.training}"
+        return f"{said} It started from {self.parent.task} after {self.parent.seen}: {self.parent.training}"
 
 
 class Actor:

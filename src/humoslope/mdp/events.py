@@ -101,19 +101,25 @@ def push(
     mask: Tensor,
     speed: Kick,
     harness: Annotated[str, Found(_harness)] = "",
-    harnessed: Share = 0.4,
+    full_level: Annotated[int, Range(0, 1000)] = 0,
+    least: Share = 0.4,
 ) -> None:
     """Changes the root's horizontal velocity at once.
 
     Args:
         speed: Largest change along world x and along world y, m/s.
         harness: Name of the `Harness` event: pushes grow with its strictness. Empty for full pushes from the start.
-        harnessed: Share of `speed` until then.
+        full_level: Terrain level from which pushes are full; on easier ones they are smaller, so that it is not pushes
+            that keep a robot there. 0 for full ones everywhere.
+        least: Share of `speed` that pushes grow from.
     """
     qvel = env.sim.state("qvel")
     kick = env.uniform(-speed, speed, 2)
-    if harness:
-        kick = kick * (harnessed + (1.0 - harnessed) * env.events[harness].strictness)
+    grown = env.events[harness].strictness if harness else 1.0
+    if full_level:
+        grown = grown * (env.tiles.level[:, None] / full_level).clamp(max=1.0)  # [N, 1]
+    if harness or full_level:
+        kick = kick * (least + (1.0 - least) * grown)
     replace(qvel[:, :2], mask, qvel[:, :2] + kick)
 
 

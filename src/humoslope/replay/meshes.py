@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
+from humoslope.downloads import Wheel, fetch
 from humoslope.errors import UserError
-from humoslope.files import temporary_folder, write_text
-from humoslope.interrupts import die_with_parent
+from humoslope.files import write_text
 from humoslope.replay.shapes import Shape, joined
 from humoslope.scene.robot import MeshSource
 from humoslope.seal import SUMS, check_sums, write_sums
@@ -32,19 +29,15 @@ def fetch_meshes(source: MeshSource, cache: Path = CACHE) -> Path:
         UserError: If the package is unavailable, has another hash, or lacks a mesh.
     """
     folder = cache / source.robots[0]
-    with temporary_folder() as temporary:
-        with zipfile.ZipFile(_download(source, temporary)) as wheel:
-            meshes = {}
-            for file in sorted({visual.file for visual in source.visuals}):
-                try:
-                    meshes[file] = wheel.read(f"{source.folder}/{file}")
-                except KeyError:
-                    raise UserError(f"{source.package} {source.version} has no {source.folder}/{file}.") from None
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in (INDEX, SUMS):
-            (folder / name).unlink(missing_ok=True)
-        for file, content in meshes.items():
-            (folder / file).write_bytes(content)
+    names = sorted({visual.file for visual in source.visuals})
+    wheel = Wheel(source.package, source.version, source.sha256, "the meshes")
+    fetched = fetch(wheel, [f"{source.folder}/{name}" for name in names])
+    meshes = dict(zip(names, fetched.values(), strict=True))
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in (INDEX, SUMS):
+        (folder / name).unlink(missing_ok=True)
+    for file, content in meshes.items():
+        (folder / file).write_bytes(content)
     write_text(folder / "LICENCE.txt", source.licence + "\n")
     index = {"robots": source.robots, "visuals": [vars(visual) for visual in source.visuals]}
     write_text(folder / INDEX, json.dumps(index, indent=2) + "\n")
@@ -85,23 +78,3 @@ def _shape(folder: Path, file: str, colour: list[int], position: list[float]) ->
         triangles=mesh.faces.astype(np.int32),
         colours=np.tile(np.array(colour, np.uint8), (len(mesh.vertices), 1)),
     )
-
-
-def _download(source: MeshSource, folder: Path) -> Path:
-    """Returns the downloaded wheel. pip checks the hash, and uses the user's own index, proxy and certificates."""
-    what = f"{source.package} {source.version}"
-    wanted = folder / "wanted.txt"
-    wanted.write_text(f"{source.package}=={source.version} --hash=sha256:{source.sha256}\n")
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--disable-pip-version-check"]
-    options = ["--only-binary", ":all:", "--require-hashes", "--requirement", str(wanted), "--dest", str(folder)]
-    words = [*command, *options]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, preexec_fn=die_with_parent)
-    if done.returncode:
-        if "DO NOT MATCH THE HASHES" in done.stderr:
-            raise UserError(
-                f"the {what} that was downloaded does not have the SHA-256 {source.sha256}; it was not kept."
-            )
-        if "No module named pip" in done.stderr:
-            raise UserError(f"pip is needed to fetch {what}, and is not installed for {sys.executable}.")
-        raise UserError(f"{what}, which carries the meshes, could not be downloaded; is there a network?")
-    return next(folder.glob("*.whl"))

@@ -142,11 +142,12 @@ WIDTHS: dict[str, tuple[int | str, ...]] = {
 """Shape of one row of each column; J joints, R reward terms."""
 TEXT, TEXTS = "a text", "a list of texts, all different"
 NUMBER, NUMBERS, POSITIVE, COUNT = "a number", "a list of numbers", "a positive number", "a whole number"
+COUNT_OR_NULL = "a whole number, or null"
 HEADER = {
     **dict.fromkeys(("task", "label", "code", "recorded"), TEXT),
     "checkpoint.sha256": TEXT,
     "checkpoint.training": TEXT,
-    "checkpoint.iteration": COUNT,
+    "checkpoint.iteration": COUNT_OR_NULL,
     "dt": POSITIVE,
     "reward_terms": TEXTS,
     "robot.name": TEXT,
@@ -283,6 +284,8 @@ def _is_a(kind: str, value: Any) -> bool:
         return isinstance(value, list) and all(_is_a(one, item) for item in value) and distinct
     if kind == TEXT:
         return isinstance(value, str)
+    if kind == COUNT_OR_NULL:
+        return value is None or _is_a(COUNT, value)
     if isinstance(value, bool) or not isinstance(value, int if kind == COUNT else int | float):
         return False
     return kind == COUNT or (abs(value) <= LARGEST and (kind == NUMBER or value > 0.0))

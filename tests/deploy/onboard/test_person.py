@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +18,7 @@ from humoslope.deploy.onboard.messages import Remote
 from humoslope.deploy.onboard.person import Person
 from humoslope.deploy.onboard.pilot import Heading, Pilot
 from humoslope.deploy.onboard.states import Request
-from humoslope.deploy.onboard.unitree_g1 import BUTTONS, MOTORS, bits, motor_of_joint, pressed
+from humoslope.deploy.onboard.unitree_g1 import BUTTONS, MOTORS, bits, motor_of_joint, pressed, require_measured
 from humoslope.errors import UserError
 
 
@@ -90,8 +91,6 @@ def test_buttons_come_back_from_their_bits(buttons: frozenset[str]) -> None:
 
 
 def test_joints_find_their_motors_by_name(contract: Contract) -> None:
-    from dataclasses import replace
-
     assert motor_of_joint(contract) == tuple(range(29))
     turned = replace(contract, joints=contract.joints[::-1])
     assert [MOTORS[motor] for motor in motor_of_joint(turned)] == [joint.name for joint in turned.joints]
@@ -100,6 +99,17 @@ def test_joints_find_their_motors_by_name(contract: Contract) -> None:
         UserError, match="the policy is for unitree_g1, not for a G1 with 29 motors: it has 'tail_joint'"
     ):
         motor_of_joint(other)
+
+
+def test_a_policy_that_sees_what_no_robot_measures_is_refused(contract: Contract) -> None:
+    require_measured(contract)
+    (group,) = contract.observations
+    term = replace(group.terms[0], name="base_lin_vel", quantity="root_linear_velocity")
+    told = replace(contract, observations=(replace(group, terms=(term,)),))
+    with pytest.raises(
+        UserError, match=r"sees 'base_lin_vel' \(root_linear_velocity\), which the robot does not measure"
+    ):
+        require_measured(told)
 
 
 def test_a_script_is_followed() -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from humoslope.deploy.contract import Contract, ObservationGroup
-from humoslope.deploy.controller import Input, Observer, OnnxPolicy
+from humoslope.deploy.controller import GaitPhase, Input, Observer, OnnxPolicy
 from humoslope.deploy.doctor.walk import Finding, Walk
 from humoslope.deploy.quantities import Array, Measured
 
@@ -79,6 +79,7 @@ def difference(walk: Walk, contract: Contract, policy: OnnxPolicy, mistake: Mist
     seen = mistake.walk(walk)
     groups = [_mistaken(group, mistake) for group in contract.observations]
     observers = {group.name: Observer(group) for group in groups}
+    phase = None if contract.gait_clock is None else GaitPhase(contract.gait_clock, contract.timing.control_step_s)
     default = np.array([joint.default_rad for joint in contract.joints])
     skipped = max(group.history for group in groups) + LATEST
     total, count = 0.0, 0
@@ -91,6 +92,8 @@ def difference(walk: Walk, contract: Contract, policy: OnnxPolicy, mistake: Mist
             command=seen.command[k],
             last_action=seen.action[k - 1] if k else np.zeros(len(default)),
         )
+        if phase is not None:
+            measured = dataclasses.replace(measured, gait_phase=phase(measured.command))
         observations = {name: observe(measured) for name, observe in observers.items()}
         if k < skipped:
             continue

@@ -228,7 +228,7 @@ def _header(folder: Path, contract: Contract, kinematics: Kinematics, ground: _G
             "sha256": training.sha256,
             "iteration": training.iteration,
             "total_steps": training.environment_steps,
-            "training": f"training ended {harness}",
+            "training": training.origin or f"training ended {harness}",
         },
         "code": contract.exported_by,
         "recorded": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from humoslope.deploy.contract import Contract
+from humoslope.deploy.quantities import QUANTITIES
 from humoslope.errors import UserError
 
 LEG = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
@@ -34,6 +35,17 @@ def motor_of_joint(contract: Contract) -> tuple[int, ...]:
         detail = f"it has '{strange}'" if strange else f"it has {len(names)} joints"
         raise UserError(f"the policy is for {contract.robot.name}, not for a G1 with {len(MOTORS)} motors: {detail}.")
     return tuple(MOTORS.index(name) for name in names)
+
+
+def require_measured(contract: Contract) -> None:
+    """Checks, before anything moves, that the robot measures all that the policy sees.
+
+    Raises:
+        UserError: If it does not.
+    """
+    for term in (term for group in contract.observations for term in group.terms):
+        if term.quantity in QUANTITIES and not QUANTITIES[term.quantity].measured:
+            raise UserError(f"the policy sees '{term.name}' ({term.quantity}), which the robot does not measure.")
 
 
 def pressed(keys: int) -> frozenset[str]:

@@ -82,7 +82,7 @@ class Training:
     """Training of a checkpoint and of all that it started from.
 
     Attributes:
-        steps: Environment steps of each stage, the first one first.
+        steps: Environment steps of each stage, the first one first; none for a policy from outside.
         harness: Scale of the training harness at the end of the last stage, zero if only earlier stages had one; None
             if no stage had one.
     """
@@ -464,7 +464,8 @@ def _training(checkpoint: Mapping[str, Any]) -> Training:
     harness = checkpoint["harness"]
     if harness is None and before.harness is not None:
         harness = 0.0
-    return Training((*before.steps, checkpoint["total_steps"]), harness)
+    steps = checkpoint["total_steps"]  # null for a policy from outside
+    return Training(before.steps if steps is None else (*before.steps, steps), harness)
 
 
 def _grade(report: Mapping[str, Any]) -> Grade:

@@ -262,6 +262,8 @@ def training_of(trainings: Sequence[tuple[Training, ...]]) -> str:
     Args:
         trainings: Training of the checkpoints of each result.
     """
+    if not any(training.steps for of_result in trainings for training in of_result):
+        return "trained elsewhere"
     totals = sorted((t for of_result in trainings for t in of_result), key=lambda training: sum(training.steps))
     budgets = [" + ".join(f"{steps / 1e6:.3g}" for steps in training.steps) for training in totals]
     words = [f"{budgets[0]} M steps" if budgets[0] == budgets[-1] else f"{budgets[0]} to {budgets[-1]} M steps"]

@@ -19,6 +19,7 @@ from humoslope.errors import UserError
 from humoslope.evaluation.report.paper import read_paper
 from humoslope.evaluation.report.results import from_report, to_report
 from humoslope.evaluation.report.tables import ablation_table, causes_table, cells_table, diagnostics_table, main_table
+from humoslope.evaluation.subject import Subject
 from humoslope.evaluation.track import store
 from humoslope.evaluation.track.arrays import map_arrays
 from humoslope.evaluation.track.progress import Progress, cell_table, view
@@ -28,9 +29,7 @@ from humoslope.evaluation.track.summary import ENOUGH, SlopeLimit, slope_limit
 from humoslope.evaluation.track.trials import HeldOutTrials, TrialScheduler, held_out_env_cfg, run_trials
 from humoslope.files import check_place, write_text
 from humoslope.interrupts import Interrupt, deferred_interrupts
-from humoslope.learning.policy import Provenance, load_actor, read_spec
 from humoslope.provenance import git_state, plain
-from humoslope.registry import TaskCfg
 from humoslope.seal import write_json
 
 REFRESH_S = 2.0
@@ -60,58 +59,58 @@ class Plan:
     command_line: str
 
 
-def evaluate(checkpoints: list[tuple[Provenance, TaskCfg]], plan: Plan, console: Console) -> int:
-    """Runs the missing trials of all checkpoints and writes the results, also after an interruption.
+def evaluate(subjects: list[Subject], plan: Plan, console: Console) -> int:
+    """Runs the missing trials of all policies and writes the results, also after an interruption.
 
     Args:
-        checkpoints: Checkpoints of one method, each with its task as it was trained; their trials are pooled.
+        subjects: Policies of one method; their trials are pooled.
 
     Returns:
         0 if all trials are finished, else the signal that ended the evaluation early.
 
     Raises:
-        UserError: If the plan is impossible, or a checkpoint is given twice.
+        UserError: If the plan is impossible, or a policy is given twice.
     """
     plan.protocol.find_course()
-    sources = [source for source, _ in checkpoints]
+    sources = [subject.provenance for subject in subjects]
     for i, source in enumerate(sources):
         if source.sha256 in (other.sha256 for other in sources[:i]):
             raise UserError(f"evaluate: checkpoint '{source.path}' is given twice; its trials would count twice.")
-    out = plan.out or sources[0].path.with_suffix(".sweep" if plan.sweep else ".heldout")
+    out = plan.out or subjects[0].beside("sweep" if plan.sweep else "heldout")
     check_place(_beside(out, ".json"))
 
     evaluations: list[_Evaluation] = []
     complete = True
     with deferred_interrupts() as interrupt:
-        for source, task in checkpoints:
-            evaluation = _Evaluation(source, task, plan, out, console)
+        for subject in subjects:
+            evaluation = _Evaluation(subject, plan, out, console)
             evaluations.append(evaluation)
             complete = evaluation.run(interrupt)
             if not complete:
                 break
-    _conclude(console, evaluations, plan, len(checkpoints), out)
+    _conclude(console, evaluations, plan, len(subjects), out)
     return interrupt.number if not complete else 0
 
 
 class _Evaluation:
-    """Trials of one checkpoint, those saved before and those still to run.
+    """Trials of one policy, those saved before and those still to run.
 
     Attributes:
         saved: Trials, time and code so far.
     """
 
-    def __init__(self, source: Provenance, task: TaskCfg, plan: Plan, out: Path, console: Console) -> None:
-        self.source, self.protocol, self._console = source, plan.protocol, console
+    def __init__(self, subject: Subject, plan: Plan, out: Path, console: Console) -> None:
+        self.source, self.protocol, self._console = subject.provenance, plan.protocol, console
         course = plan.protocol.find_course()
         scheduler = TrialScheduler(plan.protocol, course, plan.parallel_trials)
-        cfg = held_out_env_cfg(task.env, scheduler, read_spec(source.path).groups)
-        self._fingerprint = store.trial_fingerprint(cfg, scheduler, source.sha256)
+        cfg = held_out_env_cfg(subject.env, scheduler, subject.groups)
+        self._fingerprint = store.trial_fingerprint(cfg, scheduler, subject.provenance.sha256)
         self._path = _beside(out, f".{self._fingerprint[:8]}.npz")
         found = None if plan.fresh else store.load(self._path, self._fingerprint, plan.protocol)
         scheduler.earlier = found and found.trials
         self.env = ManagerBasedRlEnv(cfg)
         self._scheduler = scheduler
-        self._actor = load_actor(source.path, self.env, source.task)
+        self._actor = subject.load(self.env)
         self.saved = found or SavedTrials(scheduler.trials(), 0.0, ())
 
     @property
@@ -132,7 +131,7 @@ class _Evaluation:
             store.save(self._path, self.saved, self._fingerprint, protocol)
 
         progress = Progress(scheduler.progress(), self.env.step_dt)
-        title = f"{self.source.name}, iteration {self.source.iteration}"
+        title = self.source.title
 
         def picture() -> Any:
             return view(scheduler.trials(), protocol, title, progress.line(scheduler.progress()))
@@ -163,8 +162,7 @@ class _Evaluation:
         env, sim, protocol = self.env, self.env.cfg.sim, self.protocol
         done = int(self.saved.trials.finished.sum())
         lines = [
-            f"[bold]{self.source.name}[/bold], iteration {self.source.iteration}, "
-            f"{self.source.total_steps / 1e6:.2f} M steps; {self.source.path}",
+            f"[bold]{self.source.title}[/bold], {self.source.seen}; {self.source.path}",
             f"{protocol.trials} trials in each of {protocol.num_cells} cells, {env.num_envs} envs; physics "
             f"'{env.sim.backend}' on {env.device}, {sim.timestep * 1e3:g} ms x {sim.decimation}, {sim.cone} cone",
         ]

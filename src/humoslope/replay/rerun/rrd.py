@@ -66,8 +66,9 @@ def provenance_text(rollout: Rollout) -> str:
     """Returns the origin of a walk as Markdown: policy, terrain, checkpoint, code and time."""
     header = rollout.header
     checkpoint, terrain = header["checkpoint"], header["terrain"]
+    iteration = "" if checkpoint["iteration"] is None else f", iteration {checkpoint['iteration']}"
     return (
-        f"**{header['label']}**, {header['task']}, iteration {checkpoint['iteration']}\n\n"
+        f"**{header['label']}**, {header['task']}{iteration}\n\n"
         f"{terrain['name']} at {terrain['grade']:g}°\n\n"
         f"{checkpoint['training']}\n\n"
         f"checkpoint {checkpoint['sha256'][:12]}, {header['code'][:19]}, {header['recorded']}\n"

@@ -153,7 +153,7 @@ def _overview(policies: Sequence[Policy]) -> Section:
                     policy.name,
                     origin.task,
                     f"{origin.iteration}",
-                    f"{origin.total_steps / 1e6:.2f} M",
+                    origin.seen.removesuffix(" steps"),
                     fallen,
                     success,
                     origin.training,
