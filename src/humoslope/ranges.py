@@ -299,7 +299,7 @@ def _faults(value: Any, hint: Any, env: Any) -> list[str]:
 
 
 def _declared_faults(value: Any, base: Any, metadata: tuple[Any, ...], env: Any) -> list[str]:
-    declarations = [part for part in metadata if _judges(type(part))]
+    declarations = [part for part in metadata if _judges(part.__class__)]
     several = get_origin(base) is tuple
     found = _wrong_type(value, base) if base is int or (several and get_args(base)[-1] is ...) else []
     found = found or [said for one in declarations if (said := one.fault(value, env)) is not None]
