@@ -55,7 +55,8 @@ def _terms(info: StructTypeInfo) -> StructConstructorSpec | None:
 def _term(info: StructTypeInfo) -> StructConstructorSpec | None:
     if not isinstance(info.default, TermCfg):
         return None
-    term, kind = info.default, type(info.default)
+    term: TermCfg = info.default
+    kind: Any = type(term)
     hints, own = _hints_of(kind), [f.name for f in dataclasses.fields(kind) if f.name not in ("func", "params")]
     fields = [StructFieldSpec(name, hints[name], getattr(term, name), partial(help_of, kind, name)) for name in own]
     fields.append(StructFieldSpec("params", _Params, _Params(term), ""))
@@ -87,7 +88,7 @@ def _config(info: StructTypeInfo) -> StructConstructorSpec | None:
     if not isinstance(info.default, StrictCfg | TerrainGridCfg) or isinstance(info.default, TermCfg):
         return None
     cfg: Any = info.default
-    hints, values = _hints_of(type(cfg)), {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
+    hints, values = _hints_of(cfg.__class__), {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
     fields = []
     for name, value in values.items():
         kind = type(value) if dataclasses.is_dataclass(value) else hints[name]
