@@ -37,7 +37,7 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
     for action in actions[:12]:
         env.step(action)
     env.log.flush()
-    env.events["harness"].scale = torch.tensor(0.0)  # all levels are open
+    env.events["harness"].strictness = torch.tensor(1.0)  # all levels are open
     late, climbed, fallen, broken, pushed, asked = (~env.tiles.omnidirectional).nonzero().flatten()[:6].tolist()
     env.episode_length_buf[[late, climbed]] = env.max_episode_length - 1
     qpos, qvel = env.sim.state("qpos"), env.sim.state("qvel")

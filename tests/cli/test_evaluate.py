@@ -176,7 +176,7 @@ def test_the_defaults_of_the_protocol_follow_the_choice_of_a_sweep(
     trials: int | None,
 ) -> None:
     plans: list[Plan] = []
-    monkeypatch.setattr("humoslope.cli.evaluate.trained", lambda path: path)
+    monkeypatch.setattr("humoslope.cli.evaluate.subject", lambda path: path)
     monkeypatch.setattr("humoslope.cli.evaluate.evaluate", lambda found, plan, console: plans.append(plan) or 0)
     if grades is None:
         with pytest.raises(SystemExit) as stop:
