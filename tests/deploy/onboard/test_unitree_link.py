@@ -6,6 +6,7 @@ Messages are waited for, not timed: a slow machine makes these tests slow, and n
 from __future__ import annotations
 
 import ast
+import gc
 import json
 import os
 import signal
@@ -17,6 +18,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,7 +28,7 @@ from humoslope.deploy.contract import Contract
 from humoslope.deploy.onboard.messages import Command, Reading, Remote
 from humoslope.deploy.onboard.pace import pace_on
 from humoslope.deploy.onboard.simulated import SimulatedRobot
-from humoslope.deploy.onboard.unitree_link import UnitreeRobot, open_interface
+from humoslope.deploy.onboard.unitree_link import UnitreeLink, UnitreeRobot, open_interface
 from humoslope.errors import UserError
 from humoslope.replay.rollout import load_rollout
 from tests import processes
@@ -60,6 +62,35 @@ def test_a_simulated_robot_never_speaks_on_a_network(contract: Contract) -> None
         pace_on("eth0", 2.0)
     with pytest.raises(UserError, match="--slower 0.5 must be between 1 and 100"):
         pace_on("lo", 0.5)
+
+
+class Readers:
+    """The package's interface with nothing to read, which says when it is destroyed."""
+
+    def __init__(self, destroyed: list[str]) -> None:
+        self.destroyed = destroyed
+
+    def read_low_state(self) -> SimpleNamespace:
+        return SimpleNamespace(motor=SimpleNamespace(q=[], dq=[]), imu=SimpleNamespace(omega=[], quat=[0.0] * 4))
+
+    def read_wireless_controller(self) -> None: ...
+
+    def __del__(self) -> None:
+        self.destroyed.append("now")
+
+
+def test_a_closed_link_does_not_destroy_readers_that_a_message_may_just_reach(
+    contract: Contract, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The SDK would abort the process."""
+    destroyed: list[str] = []
+    creates = SimpleNamespace(create_g1=lambda *_, **__: Readers(destroyed))
+    monkeypatch.setitem(sys.modules, "unitree_interface", SimpleNamespace(UnitreeInterface=creates))  # type: ignore[arg-type]
+    link = UnitreeLink(contract, "lo")
+    link.close()
+    del link
+    gc.collect()
+    assert destroyed == []
 
 
 @pytest.mark.parametrize(

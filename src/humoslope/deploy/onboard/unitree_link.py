@@ -5,6 +5,7 @@ The package brings Unitree's own CycloneDDS 0.10.2. CycloneDDS 11 must not join 
 
 from __future__ import annotations
 
+import ctypes
 import socket
 import threading
 from collections import deque
@@ -52,7 +53,7 @@ def load_sdk(interface: str, only_loopback: bool = False) -> Any:
 
 
 def open_interface(interface: str, tag: str) -> Any:
-    """Returns the package's interface to a G1 on a network interface.
+    """Returns the package's interface to a G1 on a network interface. It is never destroyed, see `_keep`.
 
     Args:
         interface: Name of the network interface.
@@ -69,10 +70,20 @@ def open_interface(interface: str, tag: str) -> Any:
         "</CycloneDDS>"
     )
     try:
-        return sdk.UnitreeInterface.create_g1(interface, dds_config=config)
+        return _keep(sdk.UnitreeInterface.create_g1(interface, dds_config=config))
     except RuntimeError as error:
         detail = " ".join(str(error).split())
         raise UserError(f"Unitree's SDK could not use the network interface '{interface}': {detail}.") from None
+
+
+def _keep(interface: Any) -> Any:
+    """Lets the package's interface live as long as the process.
+
+    CycloneDDS 0.10.2 aborts the process if a reader is destroyed in the moment in which a message arrives, and a robot
+    sends one every 2 ms. The walk that was about to be saved would be lost.
+    """
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(interface))
+    return interface
 
 
 class UnitreeLink:
@@ -123,10 +134,9 @@ class UnitreeLink:
         return any(heard) and heard not in list(self._own)
 
     def close(self) -> None:
-        """See `Link`."""
+        """See `Link`. The package repeats the last command until the process ends."""
         self._ended.set()
         self._thread.join()
-        self._robot = None
 
     def _in_motor_order(self, values: Array) -> list[float]:
         ordered = np.zeros(len(MOTORS))
