@@ -98,8 +98,8 @@ EVERYWHERE = torch.ones(N, dtype=torch.bool)
 @pytest.mark.parametrize(
     ("covered", "commanded", "level"),
     [
-        (0.81 * REACH, 9.0, 3),  # most of the tile
-        (0.79 * REACH, 9.0, 2),  # not quite
+        (0.61 * REACH, 9.0, 3),  # most of the tile
+        (0.59 * REACH, 9.0, 2),  # not quite
         (0.41 * 9.0, 9.0, 2),
         (0.39 * 9.0, 9.0, 1),  # little of the command
         (0.5, 1.0, 2),  # half of the little that was commanded
@@ -117,7 +117,7 @@ def test_an_env_moves_up_after_most_of_its_tile_and_down_after_little_of_its_com
 
 
 @pytest.mark.parametrize("start", [-0.15, 0.15, 2.0])
-@pytest.mark.parametrize(("share", "level"), [(0.79, 2), (0.81, 3)])
+@pytest.mark.parametrize(("share", "level"), [(0.59, 2), (0.61, 3)])
 def test_what_is_covered_counts_from_where_the_robot_was_put(env, start, share, level):
     term = TerrainLevels(env)
     begin(env, 2)
@@ -269,7 +269,7 @@ def test_a_least_distance_that_is_none_is_refused(env, least):
     fallen=st.booleans(),
 )
 def test_on_a_hillside_a_level_is_earned_by_most_of_what_was_commanded(make_ground, angle, share, commanded, fallen):
-    assume(min(abs(share - 0.8), abs(share - 0.4), abs(commanded - 2.0), abs(commanded - 1.0)) > 1e-3)
+    assume(min(abs(share - 0.6), abs(share - 0.4), abs(commanded - 2.0), abs(commanded - 1.0)) > 1e-3)
     env = make_ground(frozenset({0, 1}))
     term = TerrainLevels(env)
     begin(env, 2)
@@ -278,7 +278,7 @@ def test_on_a_hillside_a_level_is_earned_by_most_of_what_was_commanded(make_grou
     for part in (0.3, 0.7):
         angle = -angle
         follow(env, term, part * commanded, share * part * commanded, (math.cos(angle), math.sin(angle)))
-    up = share > 0.8 and commanded > 2.0 and not fallen
+    up = share > 0.6 and commanded > 2.0 and not fallen
     down = fallen or (share < 0.4 and commanded > 1.0)
     assert end(env, term, EVERYWHERE) == [3 if up else 1 if down else 2] * N
 
