@@ -95,13 +95,14 @@ def base_rewards() -> Terms[RewardTermCfg]:
 
     Changed terms: velocity and height refer to the ground; the pelvis may lean with the slope; time on one leg replaces
     a gait clock that the policy cannot observe; a fall costs; joint velocities do not. Of the weights only those of
-    alive, angular velocity, energy and body contact are Unitree's. The wide reward for speed shows the way, the narrow
-    one is for who walks already.
+    alive, angular velocity, energy and body contact are Unitree's. Of the two rewards each for speed and for turning
+    the first one shows the way; the second one is for who walks already, and no narrower than a walking body sways.
     """
     return Terms(
         track_velocity=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
-        track_velocity_finely=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.15}, weight=0.8),
+        track_velocity_finely=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.25}, weight=2.0),
         track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=1.0),
+        track_turns=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.6}, weight=1.5),
         alive=RewardTermCfg(rewards.alive, weight=0.15),
         fall=RewardTermCfg(rewards.fall, weight=-100.0),
         slope_normal_velocity=RewardTermCfg(rewards.slope_normal_velocity_l2, weight=-1.0),
@@ -147,7 +148,7 @@ def all_directions(**changes: Any) -> VelocityCommandCfg:
 
 
 STRICT = (
-    *("track_velocity_finely", "knee_flexion", "foot_clearance", "action_acc", "landings"),
+    *("track_velocity_finely", "track_turns", "knee_flexion", "foot_clearance", "action_acc", "landings"),
     *("stand_on_both_feet", "stand_without_steps", "stand_without_creep", "stand_at_ease"),
 )
 """Rewards that count when the harness is gone: a robot shall first of all find out that it can walk."""
