@@ -29,9 +29,8 @@ class TerrainLevels(CurriculumTerm):
     env moves to a random one, so that the easy ones are not forgotten.
 
     Args:
-        up: Share of the way to the end of the tile, or of the commanded distance on a tile walked in any direction. A
-            policy that tracks well walks at four fifths of the commanded speed while it learns, with noise, pushes and
-            a load, and stands for a part of the episode: asked for as much, it hardly ever rises.
+        up: Share of the way to the end of the tile, or of the commanded distance on a tile walked in any direction.
+            Ours: asked for four fifths, which is about what a policy walks while it learns, robots hardly ever rise.
         down: Share of the commanded distance.
         least_commanded: Commanded distance below which only a fall costs a level, m. Ours: what little a robot drifts
             while it stands, or in an episode that was cut short, is no failure.
