@@ -140,7 +140,7 @@ def all_directions(**changes: Any) -> VelocityCommandCfg:
         yaw_rate=(-0.6, 0.6),
         standing_share=0.12,
         resample_s=(4.0, 10.0),
-        modes={"forward": 0.55, "backward": 0.15, "sideways": 0.15, "turning": 0.15},
+        modes={"forward": 0.4, "backward": 0.2, "sideways": 0.2, "turning": 0.2},
         backward=(0.2, 0.5),
         sideways=(0.2, 0.5),
         **changes,
@@ -227,7 +227,7 @@ def stage1() -> TaskCfg:
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),
         ),
-        agent=PpoCfg(max_iterations=5000, final_entropy_coef=0.0005),
+        agent=PpoCfg(max_iterations=5000, entropy_coef=0.002, final_entropy_coef=0.0002),
     )
 
 

@@ -6,17 +6,17 @@ from humoslope.terrain import TerrainGridCfg
 
 
 def stage1() -> TerrainGridCfg:
-    """Hillsides for all directions, nearly half; ramps up and down; and flat, wavy and rough ground and rough slopes.
+    """Hillsides for all directions, more than half; ramps up and down; and flat, wavy and rough ground and rough slopes.
 
     Banked and striped ground is left to Stage II, since a column, a twentieth, would cost as much as a rough slope.
     """
     return TerrainGridCfg(
         columns={
-            "hillside": 0.35,
-            "rough-hillside": 0.1,
+            "hillside": 0.4,
+            "rough-hillside": 0.15,
             "flat": 0.05,
-            "ramp-up": 0.15,
-            "ramp-down": 0.15,
+            "ramp-up": 0.1,
+            "ramp-down": 0.1,
             "rough-ramp-up": 0.05,
             "rough-ramp-down": 0.05,
             "wave": 0.05,

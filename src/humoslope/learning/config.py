@@ -66,6 +66,9 @@ class PpoCfg(AgentCfg):
         hidden_dims: Widths of the hidden layers of actor and critic, both with ELU.
         init_std: Standard deviation of the first actions.
         obs_normalization: Scale observations by their running mean and standard deviation (ours).
+        least_obs_std: Least standard deviation that a normalised observation is divided by (ours). What is always the
+            same at first, such as the commanded speed to the side while robots learn to walk, would be huge when it
+            changes: the standard deviation is that of all observations since the beginning.
         symmetry: Double every mini-batch by its left/right mirror image (ours; the paper has no symmetry prior).
         num_learning_epochs: Passes over a rollout in one update.
         num_mini_batches: Mini-batches in one pass.
@@ -89,6 +92,7 @@ class PpoCfg(AgentCfg):
     # Ours, measured on the CPU: 1.0 throws the robot over before it learns to stand.
     init_std: Annotated[float, Range(1e-3, 100.0)] = 0.8
     obs_normalization: bool = True
+    least_obs_std: NotNegative = 0.1
     symmetry: bool = True
     num_learning_epochs: Annotated[int, Range(1, 1000)] = 5
     num_mini_batches: Annotated[int, Range(1, 100_000)] = 4
@@ -140,6 +144,7 @@ class PpoCfg(AgentCfg):
             "hidden_dims": list(self.hidden_dims),
             "activation": "elu",
             "obs_normalization": self.obs_normalization,
+            "least_std": self.least_obs_std,
         }
         return {
             "num_steps_per_env": self.num_steps_per_env,

@@ -50,12 +50,16 @@ CHUNK = 8192
 
 
 class Network(MLPModel):
-    """`MLPModel` with the same weights, state and output; a single observation group is not copied."""
+    """`MLPModel` with the same weights and state; a single observation group is not copied.
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
+    Args:
+        least_std: Least standard deviation that observations are divided by; without it the output is `MLPModel`'s too.
+    """
+
+    def __init__(self, *args: Any, least_std: float = 0.0, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         if self.obs_normalization:
-            self.obs_normalizer = Normalisation(self.obs_dim)
+            self.obs_normalizer = Normalisation(self.obs_dim, least_std)
 
     def get_latent(self, obs: TensorDict, masks: Tensor | None = None, hidden_state: HiddenState = None) -> Tensor:
         """The normalised observations [B, d]."""
@@ -73,11 +77,20 @@ class Network(MLPModel):
 
 
 class Normalisation(EmpiricalNormalization):
-    """`EmpiricalNormalization` in one pass over what it normalises, and without torch's slow variance over rows."""
+    """`EmpiricalNormalization` in one pass over what it normalises, and without torch's slow variance over rows.
+
+    Args:
+        shape: Shape of the input without the batch axis.
+        least_std: Least standard deviation that inputs are divided by.
+    """
+
+    def __init__(self, shape: int, least_std: float = 0.0) -> None:
+        super().__init__(shape)
+        self.least_std = least_std
 
     def forward(self, x: Tensor) -> Tensor:
         """`x` [B, d] less its mean, in units of its deviation."""
-        scale = 1.0 / (self._std + self.eps)
+        scale = 1.0 / (self._std.clamp(min=self.least_std) + self.eps)
         return torch.addcmul(-self._mean * scale, x, scale)
 
     @torch.jit.unused

@@ -99,8 +99,9 @@ class CommandManager:
 
     Attributes:
         velocity: [N, 3] commanded velocity: forward and left in m/s along the ground, yaw rate in rad/s.
-        variety: Share, a scalar tensor, of the commands to stand or in another mode than forward that stay what they
-            are; the others become commands to walk forward. For curricula; 1 at first.
+        variety: How far commands have moved from forward ones, a scalar tensor in [0, 1], for curricula; 1 at first.
+            Commands in other modes lie at this share of the way from a forward one, and this share of those to stand
+            is kept.
     """
 
     def __init__(self, env: Env, cfg: VelocityCommandCfg) -> None:
@@ -160,17 +161,15 @@ class CommandManager:
             velocity: [N, 3] drawn as a forward command.
             steers: [N] bool.
         """
-        random = torch.rand(self._env.num_envs, 4, device=self._env.device)
-        varied = self._env.tiles.omnidirectional & (random[:, 3] < self.variety)
-        mode = (random[:, :1] >= self._mode_ends[:-1]).sum(dim=1) * varied  # [N] in MODES
+        random = torch.rand(self._env.num_envs, 3, device=self._env.device)
+        mode = (random[:, :1] >= self._mode_ends[:-1]).sum(dim=1) * self._env.tiles.omnidirectional  # [N] in MODES
         backward, sideways, turning = (mode == MODES.index(name) for name in MODES[1:])
         size = torch.lerp(self._least, self._most, random[:, 1:2])  # [N, 3]
         side = torch.where(random[:, 2] < 0.5, -1.0, 1.0)
-        aside = torch.stack([-size[:, 0] * backward, side * size[:, 1] * sideways, velocity[:, 2]], dim=1)
-        velocity = torch.where((backward | sideways)[:, None], aside, velocity)
-        still = torch.zeros_like(side)
-        turn = torch.stack([still, still, side * size[:, 2]], dim=1)
-        return torch.where(turning[:, None], turn, velocity), steers & ~turning
+        yaw_rate = torch.where(turning, side * size[:, 2], velocity[:, 2])
+        other = torch.stack([-size[:, 0] * backward, side * size[:, 1] * sideways, yaw_rate], dim=1)
+        other = torch.lerp(velocity, other, self.variety)
+        return torch.where((mode > 0)[:, None], other, velocity), steers & ~turning
 
     def _steer(self, linear: Tensor) -> None:
         self.velocity = torch.cat([linear, self._turn()[:, None]], dim=1)

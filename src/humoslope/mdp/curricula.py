@@ -21,8 +21,8 @@ class TerrainLevels(CurriculumTerm):
     """An env moves to a harder tile after covering the better part of its own, and to an easier one after failing.
 
     Up, on a tile that is walked along x: `up` of the way from the start of the episode to the end of the tile was
-    covered. Up, on a tile that is walked in any direction, where no such way exists: the robot did not fall, at least
-    `up_commanded` was commanded, and it walked `up` of that. Down: otherwise, after a fall, or if the robot walked less
+    covered. Up, on a tile that is walked in any direction, where no such way exists: at least `up_commanded` was
+    commanded, and the robot walked `up` of that. Down: otherwise, after a fall, or if the robot walked less
     than `down` of the distance that was commanded. The commanded distance, and what was walked of it, are summed over
     the episode: the commanded speed along the ground in whatever direction, and the root's speed in that direction.
     Standing and turning in place thus neither earn nor cost a level unless the robot falls. From the hardest level an
@@ -35,7 +35,7 @@ class TerrainLevels(CurriculumTerm):
         least_commanded: Commanded distance below which only a fall costs a level, m. Ours: what little a robot drifts
             while it stands, or in an episode that was cut short, is no failure.
         up_commanded: Commanded distance below which no level is earned on a tile walked in any direction, m. Ours:
-            three or four steps; such a robot may start close to the edge and walk off it.
+            such a robot may start close to the edge and walk off it.
         harness: Name of the `Harness` event: levels open as its strictness grows, the first one alone before. Empty for
             no such limit. Open from the start, steep levels fell robots at the same rate however well they walk,
             and the harness stays.
@@ -53,7 +53,7 @@ class TerrainLevels(CurriculumTerm):
         least_commanded: NotNegative = 1.0,
         harness: str = "",
         spread: Share = 0.0,
-        up_commanded: Positive = 2.0,
+        up_commanded: Positive = 3.0,
     ) -> None:
         if not 0.0 < down < up <= 1.0:
             raise UserError(f"terrain levels: down {down:g} and up {up:g} must be shares with 0 < down < up <= 1.")
@@ -85,7 +85,7 @@ class TerrainLevels(CurriculumTerm):
         rise = covered >= self._up * (tiles.origin_w[:, 0] + tiles.length - start)
         if tiles.has_omnidirectional:
             enough = (self._walked >= self._up * self._commanded) & (self._commanded >= self._up_commanded)
-            rise = torch.where(tiles.omnidirectional, enough & ~env.terminations.terminated, rise)
+            rise = torch.where(tiles.omnidirectional, enough, rise)
         lazy = (self._walked < self._down * self._commanded) & (self._commanded >= self._least)
         sink = ~rise & (env.terminations.terminated | lazy)
         judged = mask & ~env.diverged  # the place of a robot whose physics failed has no meaning

@@ -127,8 +127,8 @@ class HarnessCurriculum(CurriculumTerm):
 
     Args:
         event: Name of the `Harness` event.
-        rate: Scale withdrawn, and then strictness added, per second of training time in one env. 0.0083 is 0.004 in a
-            rollout of 24 steps of 20 ms.
+        rate: Scale withdrawn per second of training time in one env. 0.0083 is 0.004 in a rollout of 24 steps of 20 ms.
+        strict_rate: Strictness added per second. Lower, since what is asked for with it takes longer to learn.
         falls_per_second: Falls per env and second from which the harness is left as it is.
         falls_unaided: Falls per env and second from which strictness is left as it is. Higher, since steep ground,
             pushes and turns fell robots that are learning well, and what is not asked of them they never learn.
@@ -142,6 +142,7 @@ class HarnessCurriculum(CurriculumTerm):
         env: Env,
         event: str = "harness",
         rate: NotNegative = 0.0083,
+        strict_rate: NotNegative = 0.003,
         falls_per_second: NotNegative = 0.04,
         falls_unaided: NotNegative = 0.1,
         speed_share: NotNegative = 0.7,
@@ -149,10 +150,14 @@ class HarnessCurriculum(CurriculumTerm):
     ) -> None:
         harness = _harness(env, event)
         require_not_negative(
-            "harness curriculum", rate=rate, falls_per_second=falls_per_second, falls_unaided=falls_unaided
+            "harness curriculum",
+            rate=rate,
+            strict_rate=strict_rate,
+            falls_per_second=falls_per_second,
+            falls_unaided=falls_unaided,
         )
         require_positive("harness curriculum", memory_s=memory_s)
-        self._harness, self._rate = harness, rate
+        self._harness, self._rate, self._strict_rate = harness, rate, strict_rate
         self._most_falls, self._most_falls_unaided = falls_per_second, falls_unaided
         self._least_speed = speed_share
         self._keep = max(0.0, 1.0 - env.step_dt / memory_s)
@@ -173,12 +178,12 @@ class HarnessCurriculum(CurriculumTerm):
         share = torch.where(commanded > 0.0, walked / commanded, self._speed)
         self._falls = torch.lerp(falls, self._falls, self._keep)
         self._speed = torch.lerp(share, self._speed, self._keep)
-        harness, step = self._harness, self._rate * env.step_dt
+        harness = self._harness
         walking, unaided = self._speed > self._least_speed, harness.scale <= 0.0
         stricter = unaided & walking & (self._falls < self._most_falls_unaided)
         looser = walking & (self._falls < self._most_falls)
-        harness.strictness = (harness.strictness + step * stricter).clamp(max=1.0)
-        harness.scale = (harness.scale - step * looser).clamp(min=0.0)
+        harness.strictness = (harness.strictness + self._strict_rate * env.step_dt * stricter).clamp(max=1.0)
+        harness.scale = (harness.scale - self._rate * env.step_dt * looser).clamp(min=0.0)
         return harness.scale
 
     def state_dict(self) -> dict[str, Any]:
@@ -232,7 +237,9 @@ class StrengthenRewards(CurriculumTerm):
 class VaryCommands(CurriculumTerm):
     """Curriculum: robots are asked to stand, to turn and to walk in other directions as strictness grows.
 
-    Who has not learnt to step yet learns from such commands that standing still is worth something.
+    Who has not learnt to step yet learns from such commands that standing still is worth something. And who only knows
+    how to walk forward earns next to nothing for a command to walk backward, whatever it does about it; commands that
+    move away from forward little by little are followed.
 
     Args:
         event: Name of the `Harness` event.
