@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from humoslope import shipped
 from humoslope.errors import UserError, unknown
@@ -48,7 +48,16 @@ class TaskCfg(StrictCfg):
     start: WarmStartCfg | None = None
 
 
+class Named(Protocol):
+    """Whatever has a name."""
+
+    @property
+    def name(self) -> str:
+        """The name."""
+
+
 T = TypeVar("T")
+N = TypeVar("N", bound=Named)
 TaskFunction = Callable[[], TaskCfg]
 
 _tasks: dict[str, TaskFunction] = {}
@@ -98,6 +107,18 @@ def content_of(kind: type[T]) -> list[T]:
     modules = [module for name, module in sorted(sys.modules.items()) if name.partition(".")[0] in homes]
     found = [thing for module in modules for thing in vars(module).values() if isinstance(thing, kind)]
     return list({id(thing): thing for thing in found}.values())
+
+
+def content_named(kind: type[N], name: str, what: str) -> N:
+    """Returns the one of `content_of` that has this name.
+
+    Raises:
+        UserError: If there is none; `what` says what it would be.
+    """
+    named = {thing.name: thing for thing in content_of(kind)}
+    if name not in named:
+        raise unknown(what, name, named)
+    return named[name]
 
 
 def load_content() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,9 @@ import yaml
 from onnx import TensorProto, helper
 
 from humoslope.cli import main
+from humoslope.errors import UserError
+from humoslope.foreign import holosoma
+from humoslope.registry import content_of
 from tests.foreign.linear import linear, matrix
 from tests.foreign.test_formats import MJLAB, deploy_yaml, holosoma_metadata, mjlab_metadata, terms
 
@@ -86,6 +90,13 @@ def test_metadata_that_cannot_be_followed_are_named(
     answer = refusal(path)
     assert said in answer
     assert f"'{path}'" in answer
+
+
+def test_a_robot_of_holosoma_that_is_registered_twice_is_not_chosen_between(tmp_path: Path) -> None:
+    told = holosoma_metadata()
+    (robot,) = content_of(holosoma.HolosomaRobot)
+    with pytest.raises(UserError, match="for a robot whose conventions are registered more than once"):
+        holosoma.read(told, tmp_path / "guest.onnx", [robot, dataclasses.replace(robot, action_bound=1.0)])
 
 
 def change(*keys: str, to: Any) -> Callable[[dict[str, Any]], None]:

@@ -41,6 +41,13 @@ def test_it_answers_as_rsl_rls_network_does_with_the_same_weights(groups, normal
     torch.testing.assert_close(ours(observations(seed=3)), theirs(observations(seed=3)))
 
 
+@given(std=st.floats(0.0, 2.0), least=st.floats(0.0, 1.0))
+def test_no_observation_is_divided_by_less_than_the_least_deviation(std, least):
+    normalisation = Normalisation(1, least)
+    normalisation.update(torch.tensor([[3.0 - std], [3.0 + std]]))
+    assert normalisation(torch.tensor([[5.0]])).item() == pytest.approx(2.0 / (max(std, least) + 0.01), rel=1e-4)
+
+
 @given(seed=st.integers(0, 2**32 - 1), batches=st.lists(st.integers(2, 30), min_size=1, max_size=4))
 def test_mean_and_deviation_are_learnt_as_by_rsl_rl(seed, batches):
     theirs, ours = EmpiricalNormalization(5), Normalisation(5)

@@ -358,14 +358,31 @@ def test_robots_that_are_commanded_to_stand_count_for_nothing_however_they_move(
     assert [speed.tolist() for speed in commanded_and_walked(env)] == [[0.0, 0.0], [0.0, 0.0]]
 
 
-def test_a_command_without_variety_is_one_to_walk_forward(make_commands):
-    every = {"forward": 0.0, "backward": 1.0, "sideways": 1.0, "turning": 1.0}
-    commands = make_commands(VelocityCommandCfg(standing_share=0.5, heading_share=0.0, modes=every), free=True)
-    everywhere = torch.ones(N, dtype=torch.bool)
+FORWARD = (0.5, 0.0, 0.1)  # m/s, m/s, rad/s
+
+
+@given(variety=st.floats(0.0, 1.0))
+@pytest.mark.parametrize(
+    ("mode", "whole"),
+    [("forward", FORWARD), ("backward", (-0.3, 0.0, 0.1)), ("sideways", (0.0, 0.3, 0.1)), ("turning", (0.0, 0.0, 0.6))],
+)
+def test_variety_takes_commands_from_forward_to_what_their_mode_asks_for(make_commands, mode, whole, variety):
+    exact = {name: (value, value) for name, value in zip(("speed", "lateral", "yaw_rate"), FORWARD, strict=True)}
+    sizes = {"backward": (0.3, 0.3), "sideways": (0.3, 0.3), "turning": (0.6, 0.6)}
+    cfg = VelocityCommandCfg(standing_share=0.0, heading_share=0.0, modes={mode: 1.0}, **exact, **sizes)
+    commands = make_commands(cfg, free=True)
+    commands.variety = torch.tensor(variety)
+    commands.reset(torch.ones(N, dtype=torch.bool))
+    for side in (-1.0, 1.0):
+        signs = torch.tensor([1.0, side if mode == "sideways" else 1.0, side if mode == "turning" else 1.0])
+        asked = torch.lerp(torch.tensor(FORWARD), torch.tensor(whole) * signs, variety)
+        assert (commands.velocity - asked).abs().amax(dim=1).amin() < 1e-5
+    assert commands.velocity.unique(dim=0).round(decimals=4).unique(dim=0).shape[0] <= 2
+
+
+def test_fewer_robots_are_asked_to_stand_without_variety(make_commands):
+    commands = make_commands(VelocityCommandCfg(standing_share=0.5), free=True)
     for variety in (0.0, 0.4, 1.0):
         commands.variety = torch.tensor(variety)
-        commands.reset(everywhere)
-        moving = commands.moving
-        assert (~moving).float().mean().item() == pytest.approx(0.5 * variety, abs=0.05)
-        forward = commands.velocity[moving, 0] > 0.0
-        assert forward.float().mean().item() == pytest.approx(1.0 - variety, abs=0.08)
+        commands.reset(torch.ones(N, dtype=torch.bool))
+        assert (~commands.moving).float().mean().item() == pytest.approx(0.5 * variety, abs=0.05)

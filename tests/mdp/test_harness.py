@@ -269,6 +269,7 @@ def test_while_every_robot_is_commanded_to_stand_the_share_stays_as_it_was(withd
     [
         ({"rate": -0.1}, "rate is -0.1; it must be 0 or more"),
         ({"falls_per_second": float("nan")}, "falls_per_second is nan; it must be 0 or more"),
+        ({"strict_rate": -1.0}, "strict_rate is -1; it must be 0 or more"),
         ({"falls_unaided": -1.0}, "falls_unaided is -1; it must be 0 or more"),
         ({"memory_s": 0.0}, "memory_s is 0; it must be positive"),
     ],
@@ -283,14 +284,14 @@ def test_only_a_harness_can_be_withdrawn(withdrawal):
         HarnessCurriculum(withdrawal.env, event="push")
 
 
-def test_strictness_grows_at_the_same_pace_once_it_is_gone_and_is_kept(withdrawal):
-    withdrawal.term = withdrawal.make(rate=0.05)
+def test_strictness_grows_at_its_own_pace_once_it_is_gone_and_is_kept(withdrawal):
+    withdrawal.term = withdrawal.make(rate=0.05, strict_rate=0.02)
     harness = withdrawal.env.events["harness"]
     while withdrawal(1) > 0.0:
         assert harness.strictness.item() == 0.0
     begun = harness.strictness.item()
     withdrawal(100)
-    assert harness.strictness.item() - begun == pytest.approx(100 * 0.05 * withdrawal.env.step_dt, rel=1e-3)
+    assert harness.strictness.item() - begun == pytest.approx(100 * 0.02 * withdrawal.env.step_dt, rel=1e-3)
     state = withdrawal.term.state_dict()
     withdrawal(100, falling=True)  # falls are remembered for a while
     held = harness.strictness.item()
@@ -298,7 +299,7 @@ def test_strictness_grows_at_the_same_pace_once_it_is_gone_and_is_kept(withdrawa
     assert harness.strictness.item() == held
     withdrawal.term.load_state_dict(state)
     assert harness.strictness.item() == pytest.approx(state["strictness"])
-    withdrawal.term = withdrawal.make(rate=10.0)
+    withdrawal.term = withdrawal.make(rate=10.0, strict_rate=10.0)
     withdrawal(1500)
     assert harness.strictness.item() == 1.0
 
@@ -306,7 +307,7 @@ def test_strictness_grows_at_the_same_pace_once_it_is_gone_and_is_kept(withdrawa
 def test_strictness_bears_more_falls_than_the_harness_but_no_standing(withdrawal):
     def grown(**params):
         harness.strictness = torch.zeros(())
-        withdrawal.term = withdrawal.make(rate=0.05, falls_per_second=1.0, memory_s=0.02, **params)  # no memory
+        withdrawal.term = withdrawal.make(strict_rate=0.05, falls_per_second=1.0, memory_s=0.02, **params)  # no memory
         withdrawal(10, falling=True)
         return harness.strictness.item()
 

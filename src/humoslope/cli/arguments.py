@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from functools import cache, partial
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar
 
 import docstring_parser
 import tyro
@@ -42,7 +42,7 @@ def checked(info: StructTypeInfo) -> StructConstructorSpec | None:
     kind: Any = info.type
     if not inspect.isclass(kind) or not issubclass(kind, Checked) or not dataclasses.is_dataclass(kind):
         return None
-    hints, fields = _declared(kind), []
+    hints, fields = hints_of(kind), []
     for field in dataclasses.fields(kind):
         if not field.init:
             continue
@@ -63,12 +63,6 @@ def checked(info: StructTypeInfo) -> StructConstructorSpec | None:
 def docstring(text: str) -> Docstring:
     """The parts of a docstring. Kept, because reading it takes longer than all else that is done for an option."""
     return docstring_parser.parse(text)
-
-
-@cache
-def _declared(kind: type) -> dict[str, Any]:
-    """Type hints of a dataclass's fields with their ranges."""
-    return get_type_hints(kind, include_extras=True)
 
 
 def help_of(subject: Any, name: str) -> str:

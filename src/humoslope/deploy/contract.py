@@ -15,7 +15,7 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from humoslope.deploy.quantities import CUSTOM, FEET, QUANTITIES
+from humoslope.deploy.quantities import CUSTOM, FEET, GAIT_PHASE, QUANTITIES
 from humoslope.deploy.typed_json import typed
 from humoslope.errors import UserError, unknown
 from humoslope.seal import check_sums
@@ -469,7 +469,7 @@ def _check_observations(contract: Contract) -> None:
             raise UserError(f"group '{group.name}': it must have terms, and a history of at least 1.")
         for term in group.terms:
             _check_term(term, len(contract.joints))
-            if term.quantity.startswith("gait_phase") and contract.gait_clock is None:
+            if term.quantity.startswith(GAIT_PHASE) and contract.gait_clock is None:
                 raise UserError(f"term '{term.name}' is {term.quantity}, but the contract has no gait_clock.")
         if group.shape != end.shape:
             raise UserError(

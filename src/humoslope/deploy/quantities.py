@@ -69,6 +69,8 @@ CUSTOM = "custom"
 """Quantity of an observation that is none of `QUANTITIES`; only the code that it was trained with can compute it."""
 XYZ = ("x", "y", "z")
 FEET = ("left_foot", "right_foot")
+GAIT_PHASE = "gait_phase_"
+"""Beginning of the quantities that a gait clock gives; the rest is the function of the phase."""
 ROOT = "root body: x forward, y left, z up"
 
 
@@ -110,14 +112,14 @@ QUANTITIES = {
     "yaw_rate_command": Quantity(
         "Commanded yaw rate.", "heading: up", ("rad/s",), ("yaw_rate",), lambda measured: measured.command[2:]
     ),
-    "gait_phase_sine": Quantity(
+    f"{GAIT_PHASE}sine": Quantity(
         "Sine of each foot's phase by the contract's gait clock.",
         "",
         ("1",) * 2,
         FEET,
         lambda measured: np.sin(measured.gait_phase),
     ),
-    "gait_phase_cosine": Quantity(
+    f"{GAIT_PHASE}cosine": Quantity(
         "Cosine of each foot's phase by the contract's gait clock.",
         "",
         ("1",) * 2,

@@ -16,8 +16,9 @@ from torch import Tensor
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract, Term, Training
 from humoslope.deploy.controller import OnnxPolicy
+from humoslope.deploy.quantities import GAIT_PHASE
 from humoslope.env import EnvCfg, ManagerBasedRlEnv, SceneCfg, SimCfg
-from humoslope.errors import UserError, unknown
+from humoslope.errors import UserError
 from humoslope.evaluation.subject import Subject
 from humoslope.export.folder import joints_of
 from humoslope.learning.checkpoint import digest
@@ -26,7 +27,7 @@ from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms, V
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp import observations
 from humoslope.ranges import Finite, Positive
-from humoslope.registry import content_of
+from humoslope.registry import content_named
 from humoslope.scene.redriven import redriven
 from humoslope.scene.robot import Robot
 from humoslope.terrain.grid import TileRowCfg
@@ -89,7 +90,6 @@ FUNCTIONS: dict[str, Any] = {
     "root_linear_velocity": observations.base_lin_vel,
 }
 """Observations by their quantities; those of a gait clock are `GaitPhase`."""
-PHASE = "gait_phase_"
 
 
 class OnnxActor:
@@ -167,9 +167,9 @@ def env_of(contract: Contract) -> EnvCfg:
 
 
 def _term(term: Term, contract: Contract, aged: bool) -> ObservationTermCfg:
-    if term.quantity.startswith(PHASE):
+    if term.quantity.startswith(GAIT_PHASE):
         assert contract.gait_clock is not None  # a contract without one has no such term
-        params = {"function": term.quantity.removeprefix(PHASE), **vars(contract.gait_clock)}
+        params = {"function": term.quantity.removeprefix(GAIT_PHASE), **vars(contract.gait_clock)}
         return ObservationTermCfg(GaitPhase, params, term.training_noise, term.scale)
     if term.quantity not in FUNCTIONS:
         raise UserError(
@@ -183,10 +183,8 @@ def _term(term: Term, contract: Contract, aged: bool) -> ObservationTermCfg:
 
 def _robot(contract: Contract) -> Robot:
     """The registered robot with the default pose, the gains and the action scales of the contract."""
-    robots, name = {robot.name: robot for robot in content_of(Robot)}, contract.robot.name
-    if name not in robots:
-        raise unknown("the export's robot", name, robots)
-    robot, joints = robots[name], contract.joints
+    name, joints = contract.robot.name, contract.joints
+    robot = content_named(Robot, name, "the export's robot")
     registered = joints_of(robot, robot.make_spec().compile())
     fixed = [(joint.name, joint.effort_limit_nm, joint.armature_kg_m2) for joint in joints]
     if fixed != [(joint.name, joint.effort_limit_nm, joint.armature_kg_m2) for joint in registered]:

@@ -60,7 +60,7 @@ def read(metadata: Mapping[str, str], path: Path, robots: list[HolosomaRobot]) -
         robots: Robots whose conventions are known.
 
     Raises:
-        UserError: If something is missing, or the policy is for another robot.
+        UserError: If something is missing, or the policy is for none of the robots, or for several.
     """
 
     def value(key: str) -> Any:
@@ -71,10 +71,9 @@ def read(metadata: Mapping[str, str], path: Path, robots: list[HolosomaRobot]) -
 
     joints = tuple(map(str, value(KEY)))
     known = [robot for robot in robots if set(robot.joints) == set(joints)]
-    if not known:
-        raise UserError(
-            f"'{path}' is of holosoma, for a robot that is not known here; its first joint is '{joints[0]}'."
-        )
+    if len(known) != 1:
+        which = "that is not known here" if not known else "whose conventions are registered more than once"
+        raise UserError(f"'{path}' is of holosoma, for a robot {which}; its first joint is '{joints[0]}'.")
     (robot,) = known
     return ForeignPolicy(
         framework="holosoma",

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from humoslope.errors import UserError, unknown
+from humoslope.errors import UserError
 from humoslope.foreign import holosoma, mjlab, rewire, unitree
 from humoslope.foreign.folder import Source
 from humoslope.foreign.policy import ForeignPolicy
 from humoslope.foreign.published import PublishedPolicy
-from humoslope.registry import all_tasks, build_task, content_of
+from humoslope.registry import all_tasks, build_task, content_named, content_of
 from humoslope.scene.robot import Robot
 
 YAML = (".yaml", ".yml")
@@ -44,10 +44,7 @@ def choose_robot(name: str | None) -> Robot:
         UserError: If there is none of that name, or the tasks have several.
     """
     if name is not None:
-        robots = {robot.name: robot for robot in content_of(Robot)}
-        if name not in robots:
-            raise unknown("robot", name, robots)
-        return robots[name]
+        return content_named(Robot, name, "robot")
     walkers = {robot.name: robot for robot in (build_task(task).env.scene.robot for task in all_tasks())}
     if len(walkers) != 1:
         raise UserError(f"name a robot with --robot; the tasks have {', '.join(sorted(walkers)) or 'none'}.")

@@ -37,7 +37,8 @@ def redriven(
 
     height = robot.default_root_height
     if default != robot.default_joint_pos:
-        height += _lowest_foot(robot, robot.default_joint_pos) - _lowest_foot(robot, default)
+        model = robot.make_spec().compile()
+        height += _lowest_foot(robot, model, robot.default_joint_pos) - _lowest_foot(robot, model, default)
     return dataclasses.replace(
         robot,
         make_spec=make_spec,
@@ -49,9 +50,8 @@ def redriven(
     )
 
 
-def _lowest_foot(robot: Robot, pose: tuple[float, ...]) -> float:
+def _lowest_foot(robot: Robot, model: mujoco.MjModel, pose: tuple[float, ...]) -> float:
     """Height of the lower sole above the root's origin when the root is upright, m."""
-    model = robot.make_spec().compile()
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
     for name, angle in zip(robot.joint_names, pose, strict=True):
