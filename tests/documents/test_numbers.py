@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from humoslope.mdp import harness, zmp
+from humoslope.mdp.curricula import TerrainLevels
 from humoslope.presets import apply_preset
 from humoslope.registry import build_task
 from humoslope.slope import bsga
@@ -59,6 +60,10 @@ def withdrawal_setting(name: str) -> float:
     return stage1().env.curriculum.harness.params.get(name, default(harness.HarnessCurriculum, name))
 
 
+def level_share(name: str) -> str:
+    return f"{100 * default(TerrainLevels, name):g}"
+
+
 def withdrawal() -> tuple[str, str]:
     """Falls per second, and percentage of the commanded speed, at which Stage I's harness goes."""
     return f"{withdrawal_setting('falls_per_second'):g}", f"{100 * withdrawal_setting('speed_share'):g}"
@@ -85,6 +90,11 @@ CLAIMS: dict[tuple[str, str], Callable[[], tuple[str, ...]]] = {
     ),
     ("faq.md", r"fewer than (\S+) falls per second \*and\* more than (\d+) %"): withdrawal,
     ("guides/laptop.md", r"falls, below (\S+) before .*? rises, over (\d+) %"): withdrawal,
+    ("method.md", r"The deviation counts as (\S+) at"): lambda: (f"{stage1().agent.least_obs_std:g}",),
+    ("concepts/terrain.md", r"walked (\d+) % of its tile, or on a hillside (\d+) % .*? must be (\d+) m"): (
+        lambda: (*(2 * (level_share("up"),)), f"{default(TerrainLevels, 'up_commanded'):g}")
+    ),
+    ("concepts/terrain.md", r"walked less than (\d+) % of what was asked"): lambda: (level_share("down"),),
     ("method.md", r"held still for (\d+) iterations"): lambda: (str(stage2().agent.critic_warmup_iterations),),
     ("method.md", r"h_\\mathrm\{nom\}\$ (\S+) m, \S+ \+(\d) cm, \S+ -(\d) cm"): lambda: (
         f"{stage2().env.rewards.com_height.params['nominal']:g}",
