@@ -6,7 +6,7 @@ from humoslope.terrain import TerrainGridCfg
 
 
 def stage1() -> TerrainGridCfg:
-    """Hillsides for all directions, more than half; ramps up and down; and flat, wavy and rough ground and rough slopes.
+    """Hillsides for all directions, more than half; ramps up and down; flat, wavy and rough ground; and rough slopes.
 
     Banked and striped ground is left to Stage II, since a column, a twentieth, would cost as much as a rough slope.
     """
