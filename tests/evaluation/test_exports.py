@@ -18,11 +18,11 @@ from humoslope.cli.measure import subject
 from humoslope.deploy import contract as contracts
 from humoslope.deploy import controller
 from humoslope.deploy.contract import Contract, GaitClock
-from humoslope.deploy.quantities import QUANTITIES
+from humoslope.deploy.quantities import GAIT_PHASE, QUANTITIES
 from humoslope.deploy.world import World
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
-from humoslope.evaluation.exports import FUNCTIONS, PHASE, GaitPhase, env_of
+from humoslope.evaluation.exports import FUNCTIONS, GaitPhase, env_of
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.evaluation.report.paper import read_paper
 from humoslope.evaluation.report.results import read_results
@@ -114,7 +114,7 @@ def test_both_clocks_of_a_gait_agree(make_env: Callable[..., FakeEnv], mask: Cal
 
 
 def test_every_quantity_can_be_observed() -> None:
-    assert {name for name in QUANTITIES if not name.startswith(PHASE)} == set(FUNCTIONS)
+    assert {name for name in QUANTITIES if not name.startswith(GAIT_PHASE)} == set(FUNCTIONS)
 
 
 def test_what_cannot_be_evaluated_is_said(exported: Path) -> None:

@@ -61,4 +61,4 @@ def test_the_entropy_bonus_falls_linearly_until_the_last_iteration(on_shared_env
     for _ in range(3):
         trainer.iterate()
         weights.append(trainer.learner.alg.entropy_coef)
-    assert weights == pytest.approx([0.003, 0.002, 0.001], rel=1e-12)
+    assert weights == pytest.approx([0.002, 0.0015, 0.001], rel=1e-12)
