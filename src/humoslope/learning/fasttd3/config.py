@@ -29,6 +29,7 @@ class FastTd3Cfg(AgentCfg):
         hidden_dims: Widths of the actor's hidden layers, with ReLU.
         critic_hidden_dims: Widths of the hidden layers of both critics, with ReLU.
         action_bound: Largest absolute value of an action (ours: 3; policies of Stage I and II use up to 2.7).
+        least_obs_std: Least standard deviation that an observation is divided by, as in `PpoCfg` (ours).
         num_atoms: Number of returns, evenly spaced, over which a critic gives a distribution.
         v_min: Lowest of these returns.
         v_max: Highest of these returns.
@@ -57,6 +58,7 @@ class FastTd3Cfg(AgentCfg):
     hidden_dims: Widths = (512, 256, 128)
     critic_hidden_dims: Widths = (1024, 512, 256)
     action_bound: Positive = 3.0
+    least_obs_std: NotNegative = 0.1
     num_atoms: Annotated[int, Range(2)] = 251
     v_min: Finite = -10.0
     v_max: Finite = 10.0

@@ -70,7 +70,7 @@ class FastTd3:
         self.policy = self.spec.build(env.device)
         self.critics = Critics(num_obs, num_actions, cfg.critic_hidden_dims, cfg.num_atoms).to(env.device)
         self.targets = copy.deepcopy(self.critics).requires_grad_(False)
-        self.normalizer = Normalisation(num_obs).to(env.device)  # of the critics' observations
+        self.normalizer = Normalisation(num_obs, cfg.least_obs_std).to(env.device)  # of the critics' observations
         self.support = Support.of(cfg.v_min, cfg.v_max, cfg.num_atoms, env.device)
         self.replay = _make_replay(env, cfg, num_actions)
         self._mirror = Mirror(env) if cfg.symmetry else None
@@ -252,6 +252,7 @@ def _actor_settings(cfg: FastTd3Cfg) -> dict[str, Any]:
         "hidden_dims": list(cfg.hidden_dims),
         "activation": "relu",
         "obs_normalization": True,
+        "least_std": cfg.least_obs_std,
     }
 
 
