@@ -195,7 +195,7 @@ def randomisation() -> Terms[EventTermCfg]:
         root=EventTermCfg(events.ResetOnTile, {"along": (-0.15, 0.15), "across": (-0.5, 0.5), "yaw": (-0.3, 0.3)}),
         joints=EventTermCfg(events.reset_joints, {"position": (-0.05, 0.05), "velocity": (0.0, 0.0)}),
         push=EventTermCfg(
-            events.push, {"speed": 1.0, "harness": "harness", "full_level": 4}, mode="interval", interval_s=(5.0, 8.0)
+            events.push, {"speed": 1.0, "harness": "harness", "full_level": 8}, mode="interval", interval_s=(5.0, 8.0)
         ),
         harness=EventTermCfg(harness.Harness, {"support": 0.5}, mode="step"),
     )

@@ -91,8 +91,8 @@ CLAIMS: dict[tuple[str, str], Callable[[], tuple[str, ...]]] = {
     ("faq.md", r"fewer than (\S+) falls per second \*and\* more than (\d+) %"): withdrawal,
     ("guides/laptop.md", r"falls, below (\S+) before .*? rises, over (\d+) %"): withdrawal,
     ("method.md", r"The deviation counts as (\S+) at"): lambda: (f"{stage1().agent.least_obs_std:g}",),
-    ("concepts/terrain.md", r"walked (\d+) % of its tile, or on a hillside (\d+) % .*? must be (\d+) m"): (
-        lambda: (*(2 * (level_share("up"),)), f"{default(TerrainLevels, 'up_commanded'):g}")
+    ("concepts/terrain.md", r"walked (\d+) % of its tile, or on a hillside (\d+) % .*?, for (\d+) s"): (
+        lambda: (*(2 * (level_share("up"),)), f"{default(TerrainLevels, 'least_s'):g}")
     ),
     ("concepts/terrain.md", r"walked less than (\d+) % of what was asked"): lambda: (level_share("down"),),
     ("method.md", r"held still for (\d+) iterations"): lambda: (str(stage2().agent.critic_warmup_iterations),),

@@ -20,22 +20,23 @@ if TYPE_CHECKING:
 class TerrainLevels(CurriculumTerm):
     """An env moves to a harder tile after covering the better part of its own, and to an easier one after failing.
 
-    Up, on a tile that is walked along x: `up` of the way from the start of the episode to the end of the tile was
-    covered. Up, on a tile that is walked in any direction, where no such way exists: at least `up_commanded` was
-    commanded, and the robot walked `up` of that. Down: otherwise, after a fall, or if the robot walked less
-    than `down` of the distance that was commanded. The commanded distance, and what was walked of it, are summed over
-    the episode: the commanded speed along the ground in whatever direction, and the root's speed in that direction.
-    Standing and turning in place thus neither earn nor cost a level unless the robot falls. From the hardest level an
-    env moves to a random one, so that the easy ones are not forgotten.
+    On a tile that is walked along x, up: `up` of the way from the start of the episode to the end of the tile was
+    covered; down: otherwise, after a fall. On a tile that is walked in any direction, where no such way exists, up: the
+    robot walked `up` of what was commanded, for `least_s` or longer, and did not fall; down: after a fall within
+    `least_s`. Who stands or turns in place as commanded, and does not fall, has done all that was asked. On both, down
+    too: the robot walked less than `down` of the distance that was commanded. The commanded distance, and what was
+    walked of it, are summed over the episode: the commanded speed along the ground in whatever direction, and the
+    root's speed in that direction. From the hardest level an env moves to a random one, so that the easy ones are not
+    forgotten.
 
     Args:
         up: Share of the way to the end of the tile, or of the commanded distance on a tile walked in any direction.
-            Ours: asked for four fifths, which is about what a policy walks while it learns, robots hardly ever rise.
+            Ours: asked for more, which is about what a policy walks while it learns, robots hardly ever rise.
         down: Share of the commanded distance.
         least_commanded: Commanded distance below which only a fall costs a level, m. Ours: what little a robot drifts
             while it stands, or in an episode that was cut short, is no failure.
-        up_commanded: Commanded distance below which no level is earned on a tile walked in any direction, m. Ours:
-            such a robot may start close to the edge and walk off it.
+        least_s: Shortest time by which a level is earned, and longest after which a fall costs one, on a tile walked in
+            any direction, s. Ours: such a robot may start close to the edge and walk off it.
         harness: Name of the `Harness` event: levels open as its strictness grows, the first one alone before. Empty for
             no such limit. Open from the start, steep levels fell robots at the same rate however well they walk,
             and the harness stays.
@@ -48,22 +49,22 @@ class TerrainLevels(CurriculumTerm):
     def __init__(
         self,
         env: Env,
-        up: Share = 0.6,
-        down: Share = 0.4,
+        up: Share = 0.5,
+        down: Share = 0.25,
         least_commanded: NotNegative = 1.0,
         harness: str = "",
         spread: Share = 0.0,
-        up_commanded: Positive = 3.0,
+        least_s: Positive = 5.0,
     ) -> None:
         if not 0.0 < down < up <= 1.0:
             raise UserError(f"terrain levels: down {down:g} and up {up:g} must be shares with 0 < down < up <= 1.")
         if not 0.0 <= spread <= 1.0:
             raise UserError(f"terrain levels: spread {spread:g} must be between 0 and 1.")
         require_not_negative("terrain levels", least_commanded=least_commanded)
-        require_positive("terrain levels", up_commanded=up_commanded)
+        require_positive("terrain levels", least_s=least_s)
         env.tiles.set_level(torch.randint_like(env.tiles.level, max(1, round(spread * env.tiles.num_levels))))
         self._env, self._up, self._down, self._least = env, up, down, least_commanded
-        self._up_commanded = up_commanded
+        self._least_steps = least_s / env.step_dt
         self._harness: Harness | None = env.events[harness] if harness else None
         if self._harness is not None and not isinstance(self._harness, Harness):
             raise UserError(f"terrain levels: event '{harness}' is not a Harness.")
@@ -82,12 +83,15 @@ class TerrainLevels(CurriculumTerm):
         env, tiles = self._env, self._env.tiles
         start = env.start_root_pos_w[:, 0]
         covered = env.signals.root_pos_w[:, 0] - start
+        fell = env.terminations.terminated
         rise = covered >= self._up * (tiles.origin_w[:, 0] + tiles.length - start)
         if tiles.has_omnidirectional:
-            enough = (self._walked >= self._up * self._commanded) & (self._commanded >= self._up_commanded)
-            rise = torch.where(tiles.omnidirectional, enough, rise)
+            late = env.steps_since_reset >= self._least_steps
+            followed = self._walked >= self._up * self._commanded
+            rise = torch.where(tiles.omnidirectional, late & followed & ~fell, rise)
+            fell = fell & ~(tiles.omnidirectional & late)
         lazy = (self._walked < self._down * self._commanded) & (self._commanded >= self._least)
-        sink = ~rise & (env.terminations.terminated | lazy)
+        sink = ~rise & (fell | lazy)
         judged = mask & ~env.diverged  # the place of a robot whose physics failed has no meaning
         level = tiles.level + (judged & rise).to(torch.int64) - (judged & sink).to(torch.int64)
         anywhere = torch.randint_like(level, tiles.num_levels)
