@@ -373,11 +373,14 @@ def test_variety_takes_commands_from_forward_to_what_their_mode_asks_for(make_co
     commands = make_commands(cfg, free=True)
     commands.variety = torch.tensor(variety)
     commands.reset(torch.ones(N, dtype=torch.bool))
+    errors = []
     for side in (-1.0, 1.0):
         signs = torch.tensor([1.0, side if mode == "sideways" else 1.0, side if mode == "turning" else 1.0])
         asked = torch.lerp(torch.tensor(FORWARD), torch.tensor(whole) * signs, variety)
-        assert (commands.velocity - asked).abs().amax(dim=1).amin() < 1e-5
-    assert commands.velocity.unique(dim=0).round(decimals=4).unique(dim=0).shape[0] <= 2
+        errors.append((commands.velocity - asked).abs().amax(dim=1))
+    error = torch.stack(errors)  # [2, N]
+    assert error.amin(dim=0).max() < 1e-5  # every robot is asked for one of the two
+    assert error.amin(dim=1).max() < 1e-5  # and each is asked for
 
 
 def test_fewer_robots_are_asked_to_stand_without_variety(make_commands):

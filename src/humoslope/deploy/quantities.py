@@ -112,14 +112,14 @@ QUANTITIES = {
     "yaw_rate_command": Quantity(
         "Commanded yaw rate.", "heading: up", ("rad/s",), ("yaw_rate",), lambda measured: measured.command[2:]
     ),
-    f"{GAIT_PHASE}sine": Quantity(
+    "gait_phase_sine": Quantity(
         "Sine of each foot's phase by the contract's gait clock.",
         "",
         ("1",) * 2,
         FEET,
         lambda measured: np.sin(measured.gait_phase),
     ),
-    f"{GAIT_PHASE}cosine": Quantity(
+    "gait_phase_cosine": Quantity(
         "Cosine of each foot's phase by the contract's gait clock.",
         "",
         ("1",) * 2,
