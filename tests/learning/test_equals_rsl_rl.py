@@ -46,6 +46,11 @@ def test_the_other_settings_of_the_agent_reach_the_algorithm(on_shared_env):
     assert on_shared_env("--agent.no-symmetry").learner.alg.symmetry is None
 
 
+def test_the_least_deviation_reaches_both_networks(on_shared_env):
+    alg = on_shared_env("--agent.least-obs-std", "0.3").learner.alg
+    assert [network.obs_normalizer.least_std for network in (alg.actor, alg.critic)] == [0.3, 0.3]
+
+
 def test_the_schedule_is_fixed_only_while_the_actor_is_held(on_shared_env):
     trainer = on_shared_env("--agent.critic-warmup-iterations", "2")
     schedules = []

@@ -95,6 +95,12 @@ def values_of(learner: FastTd3, action: float) -> list[list[float]]:
     return learner.support.mean(logits.softmax(dim=-1)).tolist()
 
 
+def test_the_least_deviation_reaches_actor_and_critics() -> None:
+    learner = FastTd3(Wheel(), small(least_obs_std=0.3))
+    actor = learner.policy.get_submodule("obs_normalizer")
+    assert [normaliser.least_std for normaliser in (actor, learner.normalizer)] == [0.3, 0.3]
+
+
 @pytest.mark.parametrize(("falls", "clipped"), [(False, True), (True, False)])
 def test_it_learns_the_known_values_and_the_best_action(falls: bool, clipped: bool) -> None:
     """Time-outs taken for falls, or followed by the next episode, would lower the first case's values by 1 to 3."""
