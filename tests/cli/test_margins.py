@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,13 @@ import pytest
 from humoslope.deploy.gait import Gait
 from humoslope.deploy.player import Trial, TrialCfg
 from humoslope.evaluation.margins import run as margins
-from humoslope.evaluation.margins import trials
+from humoslope.evaluation.margins import show, trials
 from humoslope.evaluation.margins.quantities import Success
 from humoslope.evaluation.margins.search import Rule
 from humoslope.interrupts import Interrupt
 
 NO_GAIT = Gait(*[math.nan] * 4)
+GOOD = Trial(False, 20.0, 9.0, 0.5, 9.0, 0.5, 3.0, 0.0, 0.5, 0.0, Gait(0.0, 0.1, 0.5, 0.05))
 TINY = ("--trials", "2", "--confidence", "0.5", "--seconds", "2.5", "--speed-error", "0.4")
 CODE = """
 import sys
@@ -44,17 +46,16 @@ def test_a_certificate_is_written_without_torch(exported: Path, tmp_path: Path) 
     for name, found in report["quantities"].items():
         assert name in printed
         tested = {series["value"]: series["holds"] for series in found["tested"]}
-        assert tested.get(found["limit"], found["limit"] == found["nominal"])
+        assert tested.get(found["limit"], found["limit"] == found["grid"][0])
         assert found["first_failing"] is None or not tested[found["first_failing"]]
-    assert report["quantities"]["load"]["nominal"] == 0.0
+    assert report["quantities"]["load"]["grid"][0] == 0.0
     assert report["reference"]["successes"] == 2
     assert (tmp_path / "certificate.png").read_bytes().startswith(b"\x89PNG")
 
 
 def made_up(job: trials.Job) -> Trial:
     """A policy that falls from 20 kg or 55 ms on."""
-    fell = job.setup.conditions.load_kg > 19.0 or job.setup.conditions.delay_s > 0.052
-    return Trial(fell, 20.0, 9.0, 0.5, 9.0, 0.5, 3.0, 0.0, 0.5, 0.0, Gait(0.0, 0.1, 0.5, 0.05))
+    return replace(GOOD, fell=job.setup.conditions.load_kg > 19.0 or job.setup.conditions.delay_s > 0.052)
 
 
 @pytest.fixture
@@ -75,6 +76,32 @@ def test_known_limits_are_found(certify: Callable[..., margins.Certificate]) -> 
     assert (found["load"]["limit"], found["load"]["first_failing"]) == (18.0, 20.0)
     assert (found["delay"]["limit"], found["delay"]["first_failing"]) == (50.0, 55.0)
     assert all(s["trials"] == (64 if s["holds"] else 16) for f in found.values() for s in f["tested"])
+
+
+def test_the_first_value_is_not_certified_by_trials_on_another_slope(
+    exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A policy that walks up 20 degrees and nothing else."""
+
+    def made_up(job: trials.Job) -> Trial:
+        return replace(GOOD, fell=job.setup.cfg.grade != 20.0)
+
+    monkeypatch.setattr(trials, "run_job", made_up)
+    nominal, names = TrialCfg(grade=20.0), ("slope-up", "slope-down", "cross-slope", "yaw-rate", "load")
+    certificate = margins.Certificate(
+        exported, nominal, names, Rule(trials=64), Success(), None, tmp_path / "trials.json"
+    )
+    assert certificate.run(Interrupt(), 1)
+    report = certificate.report()
+    for name in names[:-1]:
+        found = report["quantities"][name]
+        assert (found["limit"], found["first_failing"]) == (None, 0.0)
+        assert [series["value"] for series in found["tested"]] == found["grid"][:2]
+    assert report["quantities"]["load"]["limit"] == 50.0
+    rows = list(zip(*(column.cells for column in show.table(report).columns), strict=True))
+    assert rows[0][:7] == ("slope-up", "°", "0", "none", "-", "0", "0/16")
+    assert rows[4][3] == "50 (end)"
+    show.draw(report, tmp_path / "a.png")
 
 
 def test_a_certificate_that_was_stopped_again_and_again_ends_as_one_that_was_not(

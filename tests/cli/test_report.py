@@ -90,7 +90,7 @@ def margins(sha256: str) -> dict[str, Any]:
         {"value": value, "holds": holds, "trials": 60, "successes": n, "falls": 60 - n, "share_at_least": n / 66.0}
         for value, holds, n in ((5.0, True, 60), (6.0, False, 40))
     ]
-    quantity = {"meaning": "mass", "unit": "kg", "nominal": 0.0, "limit": 5.0, "first_failing": 6.0, "monotone": True}
+    quantity = {"meaning": "mass", "unit": "kg", "grid": [0.0, 5.0, 6.0], "limit": 5.0, "first_failing": 6.0, "monotone": True}
     return {
         "what": "margins",
         "policy": {"task": made_up.TASK, "sha256": sha256},

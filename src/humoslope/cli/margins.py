@@ -33,7 +33,7 @@ from humoslope.seal import write_json
 class Options(Checked):
     """Searches for the physical conditions up to which an exported policy succeeds, in plain MuJoCo.
 
-    One quantity at a time is varied from its nominal value to one at which no policy is expected to succeed. Finished
+    One quantity at a time is varied from a mild value to one at which no policy is expected to succeed. Finished
     trials are kept, so that the same command continues after an interruption.
 
     Attributes:

@@ -40,6 +40,22 @@ def test_every_quantity_begins_at_the_nominal_value_and_changes_its_own_field_on
     assert math.hypot(*tilted) == pytest.approx(math.radians(4.0))
 
 
+def test_a_first_value_is_the_nominal_setup_except_for_ground_without_the_slope_of_the_course(exported: Path) -> None:
+    contract = contracts.read(exported)
+    step = contract.timing.control_step_s / contract.decimation
+    for grade, other in ((0.0, {"yaw-rate"}), (20.0, {"slope-up", "slope-down", "cross-slope", "yaw-rate"})):
+        nominal = TrialCfg(grade=grade)
+        for name, quantity in quantities(contract, nominal).items():
+            cfg, conditions = quantity.setup(Setup(nominal), quantity.grid[0], 0, np.random.default_rng(0))
+            assert (cfg == nominal) == (name not in other), name
+            # The same conditions in other words.
+            assert conditions.friction is None or conditions.friction == pytest.approx(nominal.friction)
+            assert conditions.timestep_s is None or conditions.timestep_s == pytest.approx(step)
+            assert not any(conditions.encoder_bias_rad)
+            spelled = replace(conditions, friction=None, timestep_s=None, encoder_bias_rad=())
+            assert spelled == Setup(nominal).conditions, name
+
+
 def test_success_is_no_fall_the_speed_asked_and_the_course_kept() -> None:
     success, straight, turning = Success(), TrialCfg(), TrialCfg(yaw_rate=0.6)
     assert success(GOOD, straight)

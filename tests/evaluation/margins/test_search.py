@@ -12,8 +12,10 @@ from humoslope.errors import UserError
 from humoslope.evaluation.margins.search import GUARDS, Rule, Search
 
 
-def searched(size: int, holds: Callable[[int], bool]) -> tuple[Search, list[int]]:
-    search, asked = Search(size), []
+def searched(
+    size: int, holds: Callable[[int], bool], known: dict[int, bool] | None = None
+) -> tuple[Search, list[int]]:
+    search, asked = Search(size, {0: True} if known is None else known), []
     steps = search.run()
     index = next(steps, None)
     while index is not None:
@@ -35,6 +37,23 @@ def test_the_limit_of_a_monotone_curve_is_found_with_few_values(size: int, data:
     assert search.failing == limit + 1
     assert search.monotone
     assert len(asked) <= size.bit_length() + GUARDS + 1
+
+
+@given(size=st.integers(1, 60), data=st.data())
+def test_a_first_value_of_which_nothing_is_known_is_tested_before_all_others(size: int, data: st.DataObject) -> None:
+    limit = data.draw(st.integers(-1, size - 1))
+    search, asked = searched(size, lambda i: i <= limit, {})
+    assert asked[0] == 0
+    assert (search.limit, search.failing) == (limit, limit + 1)
+    assert search.monotone
+    assert len(asked) <= size.bit_length() + GUARDS + 2
+
+
+def test_nothing_holds_where_all_that_is_tested_fails_and_what_holds_beyond_is_reported() -> None:
+    search, asked = searched(21, lambda i: False, {})
+    assert (search.limit, search.failing, asked) == (-1, 0, [0, 1])
+    assert search.monotone
+    assert not searched(21, lambda i: i > 0, {})[0].monotone
 
 
 @given(limit=st.integers(3, 40), lucky=st.integers(2, 60))

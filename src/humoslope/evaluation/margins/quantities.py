@@ -23,12 +23,12 @@ Name = Literal[
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that is varied alone, from its nominal value to one at which no policy is expected to succeed.
+    """A quantity that is varied alone, from a mild value to one at which no policy is expected to succeed.
 
     Attributes:
         unit: Unit of the values.
         meaning: Description of the values.
-        grid: Values, from the nominal one outwards.
+        grid: Values. The first one is the nominal setup, or ground without a slope where the nominal course has one.
         setup: Function from the nominal setup, a value, the number of the trial and a generator of its own to the setup
             of that trial.
     """

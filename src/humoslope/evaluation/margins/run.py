@@ -89,9 +89,14 @@ class Certificate:
         Player(folder, self.contract, nominal, model=model)  # whatever is wrong with the files is said here
         known = quantities(self.contract, nominal)
         self.quantities: dict[Name, Quantity] = {name: known[name] for name in dict.fromkeys(names)}
-        self.found = {name: Found(Search(len(q.grid))) for name, q in self.quantities.items()}
+        self.found = {name: Found(self._search(q)) for name, q in self.quantities.items()}
         self.reference: Series | None = None
         self.store = TrialStore(store_path, fingerprint(folder, model, asdict(nominal) | {"trials": None}))
+
+    def _search(self, quantity: Quantity) -> Search:
+        """A search over a grid, whose first value is known to hold only if it is the nominal course."""
+        first = quantity.setup(Setup(self._nominal), quantity.grid[0], 0, disturbances(self._nominal.seed, 0))
+        return Search(len(quantity.grid), {0: True} if first.cfg == self._nominal else {})
 
     def setup(self, key: Key) -> Setup:
         """Returns the setup of a trial."""
@@ -198,8 +203,7 @@ class Certificate:
         return {
             "meaning": quantity.meaning,
             "unit": quantity.unit,
-            "nominal": quantity.grid[0],
-            "limit": quantity.grid[search.limit],
+            "limit": quantity.grid[search.limit] if search.limit >= 0 else None,
             "first_failing": quantity.grid[search.failing] if search.failing < search.size else None,
             "monotone": search.monotone,
             "grid": list(quantity.grid),

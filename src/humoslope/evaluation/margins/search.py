@@ -65,20 +65,20 @@ class Rule(Checked):
 
 @dataclass
 class Search:
-    """Bisection over the indices 0 to `size` - 1 of a grid, of which 0 is known to hold.
+    """Bisection over the indices 0 to `size` - 1 of a grid. The first one is tested before all others.
 
     The limit is a value that holds, as do all tested values before it and `GUARDS` neighbours just before it; the next
-    value of the grid fails, or does not exist. If a guard fails, a lucky outcome has misled the bisection, which starts
+    value of the grid fails, or does not exist. There is none if the first value fails. If a guard fails, a lucky outcome has misled the bisection, which starts
     over below the guard. The value after the first failing one is tested too: if it holds, the outcomes are not
     monotone, which is reported, and the limit stays where it is, on the safe side.
 
     Attributes:
         size: Number of values.
-        outcomes: Outcomes so far by index.
+        outcomes: Outcomes so far by index, such as {0: True} where the first value is known to hold.
     """
 
     size: int
-    outcomes: dict[int, bool] = field(default_factory=lambda: {0: True})
+    outcomes: dict[int, bool] = field(default_factory=dict)
 
     @property
     def failing(self) -> int:
@@ -87,8 +87,8 @@ class Search:
 
     @property
     def limit(self) -> int:
-        """Highest index known to hold below all that fail."""
-        return max(i for i, holds in self.outcomes.items() if holds and i < self.failing)
+        """Highest index known to hold below all that fail; -1 if there is none."""
+        return max((i for i, holds in self.outcomes.items() if holds and i < self.failing), default=-1)
 
     @property
     def monotone(self) -> bool:
@@ -108,6 +108,8 @@ class Search:
             self.outcomes[index] = yield index
 
     def _next(self) -> int | None:
+        if 0 not in self.outcomes:
+            return 0
         low, high = self.limit, self.failing
         if high - low > 1:
             return (low + high) // 2

@@ -19,18 +19,19 @@ def table(report: dict[str, Any]) -> Table:
     result = Table(
         title="Margins", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False, caption=f"success: {report['success']}"
     )
-    for column in ("quantity", "unit", "nominal", "holds to", "at least", "fails at", "passed", "falls"):
+    for column in ("quantity", "unit", "from", "holds to", "at least", "fails at", "passed", "falls"):
         result.add_column(column, justify="left" if column in ("quantity", "unit") else "right", no_wrap=True)
     for name, found in report["quantities"].items():
         tested = {series["value"]: series for series in found["tested"]}
-        at_limit = tested.get(found["limit"], report["reference"])
+        # A first value that was not tested is the nominal one.
+        at_limit = None if found["limit"] is None else tested.get(found["limit"], report["reference"])
         failed = tested.get(found["first_failing"])
         result.add_row(
             name if found["monotone"] else f"{name} (*)",
             found["unit"],
-            f"{found['nominal']:.4g}",
-            f"{found['limit']:.4g}" + ("" if failed else " (end)"),
-            f"{100.0 * at_limit['share_at_least']:.1f} %",
+            f"{found['grid'][0]:.4g}",
+            "none" if at_limit is None else f"{found['limit']:.4g}" + ("" if failed else " (end)"),
+            "-" if at_limit is None else f"{100.0 * at_limit['share_at_least']:.1f} %",
             *(
                 (f"{failed['value']:.4g}", f"{failed['successes']}/{failed['trials']}", str(failed["falls"]))
                 if failed
@@ -50,10 +51,13 @@ def draw(report: dict[str, Any], path: Path) -> None:
     for i, (name, quantity) in enumerate(found.items()):
         axis = figure.add_subplot(rows, COLUMNS, i + 1)
         dress(axis)
-        axis.axvspan(quantity["nominal"], quantity["limit"], color="tab:green", alpha=0.15)
+        first, limit, shown = quantity["grid"][0], quantity["limit"], quantity["tested"]
+        if limit is not None:
+            axis.axvspan(first, limit, color="tab:green", alpha=0.15)
         axis.axhline(100.0 * report["rule"]["share"], color="0.6", linewidth=0.8)
-        reference = report["reference"] | {"value": quantity["nominal"]}
-        for series in (reference, *quantity["tested"]):
+        if all(series["value"] != first for series in shown):
+            shown = [report["reference"] | {"value": first}, *shown]
+        for series in shown:
             share = 100.0 * series["successes"] / series["trials"]
             axis.plot(series["value"], share, "o", markersize=4, color="tab:green" if series["holds"] else "tab:red")
         axis.set_ylim(-5.0, 105.0)
