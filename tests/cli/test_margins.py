@@ -24,7 +24,7 @@ from humoslope.interrupts import Interrupt
 
 NO_GAIT = Gait(*[math.nan] * 4)
 GOOD = Trial(False, 20.0, 9.0, 0.5, 9.0, 0.5, 3.0, 0.0, 0.5, 0.0, Gait(0.0, 0.1, 0.5, 0.05))
-TINY = ("--trials", "2", "--confidence", "0.5", "--seconds", "2.5", "--speed-error", "0.4")
+TINY = ("--trials", "2", "--share", "0.7", "--confidence", "0.5", "--seconds", "2.5", "--speed-error", "0.4")
 CODE = """
 import sys
 from humoslope.cli import main
@@ -158,7 +158,7 @@ def test_a_damaged_or_foreign_file_of_trials_is_not_used(
 def test_mistakes_are_said_in_one_sentence(
     mistake: Callable[..., str], exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert "at least 52 are needed" in mistake("margins", str(exported), "--trials", "10")
+    assert "at least 59 are needed" in mistake("margins", str(exported), "--trials", "10")
     assert "margins: speed is 0; it must be positive" in mistake("margins", str(exported), "--speed", "0")
     assert "when the first push comes" in mistake("margins", str(exported), "--seconds", "4")
     assert "'no.xml' does not exist" in mistake("margins", str(exported), "--model", "no.xml")

@@ -168,7 +168,9 @@ class Certificate:
         return Job(self._folder, self._model, self.setup(key), key[2])
 
     def _left(self, asked: int) -> int:
-        return asked + sum(2 * FIRST_LOOK * found.search.tests_left for found in self.found.values())
+        # A value fails at the first look, as a rule, or holds at the first one that may show it.
+        of_value = (FIRST_LOOK + self._rule.decisive[0]) // 2
+        return asked + sum(of_value * found.search.tests_left for found in self.found.values())
 
     def _check_nominal(self) -> None:
         assert self.reference is not None

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated, ClassVar
+
+from scipy.special import betaincinv
 
 from humoslope.errors import UserError
 from humoslope.ranges import Checked, Count, Range
-from humoslope.statistics import proportion
 
 GUARDS = 2
 """Values just within the limit that are tested, so that one lucky outcome far beyond the true limit is found out."""
@@ -21,10 +23,14 @@ FIRST_LOOK = 16
 class Rule(Checked):
     """Rule by which a value is judged.
 
+    A value that is not better than `share` is shown to hold with a probability of 1 - `confidence` at most, however
+    often it was looked at. That error is spent in equal parts on the looks that may show it, each by the exact binomial
+    bound (Clopper & Pearson 1934; the parts by Bonferroni). The confidence is that of one value, not of all together.
+
     Attributes:
         trials: Most trials of one value. Fewer are run where the outcome is clear sooner.
         share: Share of trials that must succeed.
-        confidence: One-sided confidence of Wilson's bound on the share; 0.5 takes the observed share itself.
+        confidence: One-sided confidence that a value which was shown to hold reaches the share, over all looks at it.
     """
 
     VERB: ClassVar[str] = "margins"
@@ -36,10 +42,10 @@ class Rule(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.judge(self.trials, self.trials) is not True:
-            enough = next(n for n in range(1, 1_000_000) if self.lower(n, n) >= self.share)
+            enough = math.ceil(math.log(1.0 - self.confidence) / math.log(self.share))  # share ** n is the error then
             raise UserError(
-                f"margins: {self.trials} trials cannot show {100 * self.share:g} % with a confidence of "
-                f"{self.confidence:g}, even if all succeed; at least {enough} are needed."
+                f"margins: {self.trials} trials cannot show a share of {self.share:.10g} with a confidence of "
+                f"{self.confidence:.10g}, even if all succeed; at least {enough} are needed."
             )
 
     @property
@@ -48,19 +54,34 @@ class Rule(Checked):
         doublings = range(max(0, math.ceil(math.log2(self.trials / FIRST_LOOK))))
         return *(FIRST_LOOK * 2**k for k in doublings), self.trials
 
+    @cached_property
+    def decisive(self) -> tuple[int, ...]:
+        """Looks that may show a value to hold: as many of the last ones as can, each with its part of the error."""
+        error, looks = 1.0 - self.confidence, self.looks
+        able = (looks[-k:] for k in range(len(looks), 1, -1) if self.share ** looks[-k] <= error / k)
+        return next(able, looks[-1:])
+
+    @property
+    def error(self) -> float:
+        """Probability that one of the decisive looks errs, at most."""
+        return (1.0 - self.confidence) / len(self.decisive)
+
     def lower(self, successes: int, trials: int) -> float:
-        """Wilson's lower bound on the share of successes."""
-        return proportion(successes, trials, 2.0 * self.confidence - 1.0).low
+        """Lower bound on the share of successes, wrong with a probability of `error` at most."""
+        return float(betaincinv(successes, trials - successes + 1, self.error)) if successes else 0.0
+
+    def upper(self, successes: int, trials: int) -> float:
+        """Upper bound on the share of successes, wrong with a probability of `error` at most."""
+        return float(betaincinv(successes + 1, trials - successes, 1.0 - self.error)) if successes < trials else 1.0
 
     def judge(self, successes: int, trials: int) -> bool | None:
-        """Returns whether the share is reached; None if that is not clear and more trials may tell.
+        """Returns whether the share is reached, at one of the looks; None if that is not clear and more trials may tell.
 
         A value that is still unclear after the most trials is not shown to hold, so it does not.
         """
-        if self.lower(successes, trials) >= self.share:
+        if trials in self.decisive and self.lower(successes, trials) >= self.share:
             return True
-        upper = proportion(successes, trials, 2.0 * self.confidence - 1.0).high
-        return False if upper < self.share or trials >= self.trials else None
+        return False if trials >= self.trials or self.upper(successes, trials) < self.share else None
 
 
 @dataclass

@@ -16,8 +16,14 @@ COLUMNS = 4
 
 def table(report: dict[str, Any]) -> Table:
     """The limits of all quantities."""
+    rule = report["rule"]
     result = Table(
-        title="Margins", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False, caption=f"success: {report['success']}"
+        title="Margins",
+        box=SIMPLE_HEAD,
+        collapse_padding=True,
+        pad_edge=False,
+        caption=f"holds: a share of {rule['share']:.10g} of trials succeed, with a confidence of "
+        f"{rule['confidence']:.10g} for each value; success: {report['success']}",
     )
     for column in ("quantity", "unit", "from", "holds to", "at least", "fails at", "passed", "falls"):
         result.add_column(column, justify="left" if column in ("quantity", "unit") else "right", no_wrap=True)
