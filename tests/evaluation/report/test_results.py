@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from humoslope.errors import UserError
 from humoslope.evaluation.report.paper import read_paper
-from humoslope.evaluation.report.results import Training, TrialSetup, read_results, to_report
+from humoslope.evaluation.report.results import Training, TrialSetup, read_methods, read_results, to_report
 from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
 from humoslope.evaluation.track.protocol import HeldOutProtocol
 from humoslope.evaluation.track.summary import summarise
@@ -101,6 +101,20 @@ def test_a_sweep_joins_the_trials_of_its_method_and_names_tell_methods_apart(tmp
     assert first.at(20.0) is not None
     assert (second.name, second.limit, second.swept) == ("Other", None, False)
     assert (third.name, third.task) == ("Mine", "Other")
+
+
+@pytest.mark.parametrize("read", [read_results, read_methods])
+def test_a_sweep_of_another_checkpoint_is_not_joined(tmp_path, read):
+    def told_of(made, *hashes):
+        return made | {"checkpoints": [made["checkpoints"][0] | {"sha256": sha256} for sha256 in hashes]}
+
+    track = write(tmp_path, "track", told_of(report(), "a", "b"))
+    same, other = write(tmp_path, "same", told_of(sweep(33.0), "b", "a")), write(tmp_path, "other", told_of(sweep(33.0), "c"))
+    (one,) = read([f"mine={track}", f"mine={same}"])
+    assert [run.limit for run in getattr(one, "runs", (one,))] == [33.0]
+    with pytest.raises(UserError) as error:
+        read([f"mine={track}", f"mine={other}"])
+    assert f"'{track}' and '{other}' are both of 'mine', but of different checkpoints" in str(error.value)
 
 
 def test_a_partial_sweep_has_found_nothing_yet(tmp_path):

@@ -275,7 +275,8 @@ def read_results(sources: Sequence[str]) -> list[Result]:
             task.
 
     Raises:
-        UserError: If there are no results, one cannot be read, or two are of the same method.
+        UserError: If there are no results, one cannot be read, two are of the same method, or a sweep is of another
+            checkpoint.
     """
     methods = _read_all(sources)
     for found in methods.values():
@@ -290,7 +291,8 @@ def read_methods(sources: Sequence[str]) -> list[Method]:
     """Results from files as `read_results` reads them, but with several results of one method from different trainings.
 
     Raises:
-        UserError: If there are no results, one cannot be read, or two are of the same training.
+        UserError: If there are no results, one cannot be read, two are of the same training, or the sweep of the only
+            training is of another checkpoint.
     """
     methods = []
     for name, found in _read_all(sources).items():
@@ -320,10 +322,14 @@ def _read_all(sources: Sequence[str]) -> dict[str, list[tuple[Path, Result]]]:
 
 def _joined(found: Sequence[tuple[Path, Result]]) -> Result:
     """A result on the track with its sweep, if there are both."""
-    results = [result for _, result in found]
-    if len(results) == 1:
-        return results[0]
-    track, sweep = sorted(results, key=lambda result: result.swept)
+    if len(found) == 1:
+        return found[0][1]
+    (path, track), (of_sweep, sweep) = sorted(found, key=lambda part: part[1].swept)
+    hashes = [sorted(result.checkpoints) for result in (track, sweep)]
+    if all(hashes) and hashes[0] != hashes[1]:
+        raise UserError(
+            f"'{path}' and '{of_sweep}' are both of '{track.name}', but of different checkpoints; name them as NAME=FILE."
+        )
     return replace(track, limit=sweep.limit, swept=True, beyond=sweep.beyond)
 
 
