@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from torch.utils.tensorboard import SummaryWriter
 from humoslope.cli import main
 from humoslope.evaluation.causes import SLIP, TIP
 from humoslope.evaluation.report.curve import PANELS, STEPS
+from humoslope.evaluation.report.page.page import _success
 from humoslope.learning import checkpoint
 from tests import browser
 from tests.evaluation import made_up
@@ -94,7 +96,7 @@ def margins(sha256: str) -> dict[str, Any]:
     return {
         "what": "margins",
         "policy": {"task": made_up.TASK, "sha256": sha256},
-        "rule": {"share": 0.95},
+        "rule": {"share": 0.95, "confidence": 0.95},
         "success": "stays up",
         "reference": tested[0] | {"value": 0.0},
         "quantities": {"load": quantity | {"tested": tested}},
@@ -190,6 +192,15 @@ def test_everything_that_was_measured_is_shown(run: Path, tmp_path: Path, monkey
     assert "holds to" in page.text
     assert "commit t" in page.text
     assert str(run / "broken.json") in page.text
+
+
+def test_the_overview_marks_the_rates_of_a_partial_evaluation() -> None:
+    report = made_up.report()
+    of_policy = SimpleNamespace(results={"held-out": report})
+    whole = _success(of_policy)  # type: ignore[arg-type]
+    assert whole.startswith("100.0 % at 0°, ")
+    of_policy.results["held-out"] = report | {"finished": 40}
+    assert _success(of_policy) == f"{whole} (partial)"  # type: ignore[arg-type]
 
 
 def test_results_elsewhere_belong_to_a_checkpoint_by_its_hash_and_runs_are_compared(run: Path, tmp_path: Path) -> None:

@@ -169,7 +169,8 @@ def _success(policy: Policy) -> str:
     if not report:
         return "-"
     shares = [(g["grade"], g["summary"]["success"]) for g in report["grades"]]
-    return ", ".join(f"{100.0 * s['count'] / s['total']:.1f} % at {grade:g}°" for grade, s in shares) or "-"
+    rates = ", ".join(f"{100.0 * s['count'] / s['total']:.1f} % at {grade:g}°" for grade, s in shares)
+    return (rates or "-") + (" (partial)" if report["finished"] < report["trials"] else "")
 
 
 def _configuration(policies: Sequence[Policy]) -> Section:
