@@ -6,6 +6,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import os
 import re
 import shutil
 import time
@@ -22,8 +23,10 @@ from torch.utils.tensorboard import SummaryWriter
 
 from humoslope.cli import main
 from humoslope.evaluation.causes import SLIP, TIP
+from humoslope.evaluation.margins import show
 from humoslope.evaluation.report.curve import PANELS, STEPS
 from humoslope.evaluation.report.page.page import _success
+from humoslope.evaluation.report.page.parts import find_policies
 from humoslope.learning import checkpoint
 from tests import browser
 from tests.evaluation import made_up
@@ -86,7 +89,7 @@ def ramps(sha256: str, **protocol: Any) -> dict[str, Any]:
     return {"what": "ramps", "checkpoint": {"sha256": sha256}, "protocol": asked, "ramps": found, "code": "commit r"}
 
 
-def margins(sha256: str) -> dict[str, Any]:
+def margins(sha256: str, **changes: Any) -> dict[str, Any]:
     """A certificate that was never earned."""
     tested = [
         {"value": value, "holds": holds, "trials": 60, "successes": n, "falls": 60 - n, "share_at_least": n / 66.0}
@@ -100,7 +103,8 @@ def margins(sha256: str) -> dict[str, Any]:
         "success": "stays up",
         "reference": tested[0] | {"value": 0.0},
         "quantities": {"load": quantity | {"tested": tested}},
-    }
+        "model": None,
+    } | changes
 
 
 @pytest.fixture
@@ -201,6 +205,28 @@ def test_the_overview_marks_the_rates_of_a_partial_evaluation() -> None:
     assert whole.startswith("100.0 % at 0°, ")
     of_policy.results["held-out"] = report | {"finished": 40}
     assert _success(of_policy) == f"{whole} (partial)"  # type: ignore[arg-type]
+
+
+def test_margins_on_another_robot_or_of_fewer_quantities_do_not_stand_for_the_policy(
+    run: Path, tmp_path: Path
+) -> None:
+    """Whatever was written last."""
+    sha256 = hashlib.sha256((run / "model_0.pt").read_bytes()).hexdigest()
+    whole = margins(sha256)
+    load = whole["quantities"]["load"]
+    both = {"quantities": {"load": load, "delay": load}}
+    elsewhere = made_up.write(tmp_path, "elsewhere", margins(sha256, model="h1.xml", **both))
+    (policy,) = find_policies([str(run)], [elsewhere])
+    assert policy.results["margins"]["model"] == "h1.xml"  # there is no other one
+    shown = show.table(policy.results["margins"])
+    assert shown.title == "Margins on another robot, h1.xml"
+    assert "examined on another robot, h1.xml; holds: " in str(shown.caption)
+    own, few = made_up.write(tmp_path, "own", margins(sha256, **both)), made_up.write(tmp_path, "few", whole)
+    for newest, path in enumerate((own, elsewhere, few), start=1):
+        os.utime(path, (newest, newest))
+    (policy,) = find_policies([str(run)], [tmp_path])
+    assert policy.results["margins"] == json.loads(own.read_text())
+    assert show.table(policy.results["margins"]).title == "Margins"
 
 
 def test_results_elsewhere_belong_to_a_checkpoint_by_its_hash_and_runs_are_compared(run: Path, tmp_path: Path) -> None:

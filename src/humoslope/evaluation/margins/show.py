@@ -16,13 +16,13 @@ COLUMNS = 4
 
 def table(report: dict[str, Any]) -> Table:
     """The limits of all quantities."""
-    rule = report["rule"]
+    rule, robot = report["rule"], _robot(report)
     result = Table(
-        title="Margins",
+        title=f"Margins{robot}",
         box=SIMPLE_HEAD,
         collapse_padding=True,
         pad_edge=False,
-        caption=f"holds: a share of {rule['share']:.10g} of trials succeed, with a confidence of "
+        caption=f"{'examined' + robot + '; ' if robot else ''}holds: a share of {rule['share']:.10g} of trials succeed, with a confidence of "
         f"{rule['confidence']:.10g} for each value; success: {report['success']}",
     )
     for column in ("quantity", "unit", "from", "holds to", "at least", "fails at", "passed", "falls"):
@@ -49,11 +49,17 @@ def table(report: dict[str, Any]) -> Table:
     return result
 
 
+def _robot(report: dict[str, Any]) -> str:
+    """Words for a robot that is not the export's own."""
+    model = report.get("model")
+    return f" on another robot, {model}" if model else ""
+
+
 def draw(report: dict[str, Any], path: Path) -> None:
     """Draws for every quantity the share of successes over its values, and its limit."""
     found = report["quantities"]
     rows = math.ceil(len(found) / COLUMNS)
-    figure = new_figure(3.0 * COLUMNS, 0.6 + 2.2 * rows, f"Margins of {report['policy']['task']}")
+    figure = new_figure(3.0 * COLUMNS, 0.6 + 2.2 * rows, f"Margins of {report['policy']['task']}{_robot(report)}")
     for i, (name, quantity) in enumerate(found.items()):
         axis = figure.add_subplot(rows, COLUMNS, i + 1)
         dress(axis)

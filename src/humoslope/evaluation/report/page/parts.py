@@ -47,7 +47,7 @@ class Policy:
         curves: Its learning curves by tag; None if there are none.
         starts: Records of the starts of its run.
         results: The largest result of each of `RESULTS`; of equal ones the newest. Of ramps, those that are walked
-            straight up and down count before all others.
+            straight up and down count before all others, and of margins those of the export's own robot.
         rollout: A recorded walk; None if there is none.
         damaged: Files that could not be read.
     """
@@ -167,6 +167,8 @@ def _files(places: Sequence[Path], suffix: str) -> Iterator[Path]:
 
 def _weight(report: Report) -> tuple[float, float]:
     """What tells the result to show from others of its kind."""
+    if report["what"] == "margins":
+        return float(report.get("model") is None), float(len(report["quantities"]))
     protocol = report.get("protocol")
     asked = protocol if isinstance(protocol, dict) else {}
     straight = float(asked.get("speed", 0.0) > 0.0 and not asked.get("across") and not asked.get("push"))
