@@ -15,9 +15,12 @@ from rich.console import Console
 
 from humoslope.errors import UserError
 from humoslope.evaluation.report.paper import FILE, Paper, read_paper
-from humoslope.evaluation.report.results import Result, Training, read_results
+from humoslope.evaluation.report.results import Result, Training, read_methods, read_results
+from humoslope.evaluation.report.seed_tables import main_over_seeds
 from humoslope.evaluation.report.table import Column, Row, Sheet
 from humoslope.evaluation.report.tables import ablation_table, cells_table, diagnostics_table, main_table
+from humoslope.evaluation.track.protocol import HeldOutProtocol
+from humoslope.provenance import plain
 from humoslope.statistics import Average, average, proportion
 from tests.evaluation.made_up import GRADES, report, sweep, write
 
@@ -215,6 +218,27 @@ def test_every_row_says_what_its_training_cost_and_whether_a_harness_helped(resu
     assert main_table([result], paper).rows[1].note == said
     assert ablation_table([result], paper).rows[0].note == said
     assert diagnostics_table([result]).rows[0].note == said
+
+
+def test_a_row_says_in_what_it_departs_from_the_protocol(tmp_path, paper):
+    def asked(**changes):
+        return {"protocol": plain(replace(HeldOutProtocol(), **changes)), "checkpoints": [{**checkpoint, "sha256": "a"}]}
+
+    checkpoint = report()["checkpoints"][0]
+    track = write(tmp_path, "track", report(0.9, STAGE2, **asked(noise=False, timestep=0.002, grades=(20.0,))))
+    limit = write(tmp_path, "sweep", sweep(33.0, STAGE2, **asked(noise=False, speed=0.4, tiers=(0.6,))))
+    trained = "40 M steps, harness"
+    (alone,) = read_results([str(track)])
+    said = f"{trained}; departs from the protocol: noise False, timestep 0.002"
+    for sheet in (main_table([alone], paper), ablation_table([alone], paper), cells_table([alone])):
+        assert said in [row.note for row in sheet.rows]
+    (joined,) = read_results([str(track), str(limit)])
+    said = f"{said}, in the sweep speed 0.4, noise False"
+    assert main_table([joined], paper).rows[1].note == said
+    assert f"| {said} |" in main_table([joined], paper).to_markdown()
+    assert main_over_seeds(read_methods([str(track), str(limit)]), paper).rows[0].note == f"1 seed, {said}"
+    (plain_one,) = read_results([str(write(tmp_path, "plain", report(0.9, STAGE2, **asked(trials=4))))])
+    assert main_table([plain_one], paper).rows[1].note == trained
 
 
 def test_a_partial_table_says_so(results, paper):

@@ -14,6 +14,7 @@ import numpy as np
 from humoslope.errors import UserError
 from humoslope.evaluation.causes import count
 from humoslope.evaluation.track.metrics import BIN, Figure
+from humoslope.evaluation.track.protocol import HeldOutProtocol, departing
 from humoslope.evaluation.track.summary import (
     Diagnosis,
     Outcomes,
@@ -142,6 +143,7 @@ class Result:
         checkpoints: SHA-256 of the checkpoints whose trials are pooled here, as far as the result says.
         variant: What sets the trained network apart from others of its task, such as a reduced voxel grid; the name
             ends with it.
+        departures: Settings that differ from the protocol's, in words; "" for none.
     """
 
     name: str
@@ -157,6 +159,7 @@ class Result:
     beyond: bool = False
     checkpoints: tuple[str, ...] = ()
     variant: str = ""
+    departures: str = ""
 
     @property
     def given_name(self) -> str:
@@ -330,7 +333,19 @@ def _joined(found: Sequence[tuple[Path, Result]]) -> Result:
         raise UserError(
             f"'{path}' and '{of_sweep}' are both of '{track.name}', but of different checkpoints; name them as NAME=FILE."
         )
-    return replace(track, limit=sweep.limit, swept=True, beyond=sweep.beyond)
+    return with_sweep(track, sweep)
+
+
+def with_sweep(track: Result, sweep: Result) -> Result:
+    """Trials on the track with the limit of a sweep."""
+    of_sweep = f"in the sweep {sweep.departures}" if sweep.departures not in ("", track.departures) else ""
+    return replace(
+        track,
+        limit=sweep.limit,
+        swept=True,
+        beyond=sweep.beyond,
+        departures=", ".join(filter(None, (track.departures, of_sweep))),
+    )
 
 
 def _second(path: Path, result: Result) -> UserError:
@@ -414,6 +429,7 @@ def from_report(report: Mapping[str, Any], name: str = "") -> Result:
     checkpoints = report["checkpoints"]
     task, variant = checkpoints[0]["task"], checkpoints[0].get("variant", "")
     called = name or task
+    protocol = report["protocol"]
     result = Result(
         name=f"{called}, {variant}" if variant else called,
         task=task,
@@ -423,13 +439,13 @@ def from_report(report: Mapping[str, Any], name: str = "") -> Result:
         trials=report["trials"],
         cells=tuple(Cell(c["grade"], c["tier"], _summary(c["summary"])) for c in report["cells"]),
         checkpoints=tuple(c["sha256"] for c in checkpoints if "sha256" in c),
+        departures=departing(protocol, HeldOutProtocol()),
     )
     if report["what"] == SWEEP:
         limit = report["slope_limit"] or {"grade": None, "beyond": False}  # a partial sweep has none yet
         return replace(result, swept=True, limit=limit["grade"], beyond=limit["beyond"])
     if report["what"] != HELD_OUT:
         raise KeyError("what")
-    protocol = report["protocol"]
     return replace(
         result,
         setup=TrialSetup(

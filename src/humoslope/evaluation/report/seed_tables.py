@@ -18,9 +18,9 @@ from humoslope.evaluation.report.tables import (
     MORE,
     PAPER_NOTE,
     TASK,
+    note_of,
     partial_note,
     their_figures,
-    training_of,
 )
 from humoslope.evaluation.track.metrics import REPORTED
 from humoslope.statistics import Average, Proportion
@@ -90,7 +90,7 @@ def _table(
 ) -> Sheet:
     rows, left = [], list(printed)
     for method in methods:
-        note = training_of([run.training for run in method.runs])
+        note = note_of(method.runs)
         partial = _partial(method)
         seeds = len(method.runs)
         figures = [_figure(method, grade, name) for grade in grades for name in names]

@@ -168,7 +168,7 @@ def diagnostics_table(results: Sequence[Result], grade: float = 20.0) -> Sheet:
                     *(found.positive_share or nothing).values(),
                     *(found.negative_share or nothing).values(),
                 )
-            rows.append(Row(result.name, _training(result), values, partial=_partial(result), more=i > 0))
+            rows.append(Row(result.name, note_of([result]), values, partial=_partial(result), more=i > 0))
     return Sheet(
         title=f"Posture and load by direction at {grade:g}°",
         columns=DIAGNOSTIC_COLUMNS,
@@ -192,7 +192,7 @@ def causes_table(results: Sequence[Result]) -> Sheet:
             assert isinstance(rate, Proportion)
             counts = [None if at.causes is None else at.causes.get(name, 0) for name in names]
             values = (at.grade, rate.total, rate.total - rate.count, *counts)
-            rows.append(Row(result.name, _training(result), values, partial=_partial(result), more=i > 0))
+            rows.append(Row(result.name, note_of([result]), values, partial=_partial(result), more=i > 0))
     return Sheet(
         title="Why trials failed: the first cause, by grade",
         columns=(
@@ -218,7 +218,7 @@ def cells_table(results: Sequence[Result]) -> Sheet:
         for i, cell in enumerate(result.cells):
             friction = math.tan(math.radians(cell.grade)) + cell.tier
             values = (cell.grade, friction, *_ours(cell.summary, names))
-            rows.append(Row(result.name, _training(result), values, partial=_partial(result), more=i > 0))
+            rows.append(Row(result.name, note_of([result]), values, partial=_partial(result), more=i > 0))
     return Sheet(
         title="By grade and friction",
         columns=(Column("grade", "°", 0), Column("friction"), *_columns(names)),
@@ -244,7 +244,7 @@ def _beside(
     """Our rows with the corresponding ones of the paper below each, and then the other rows of the paper."""
     rows, left = [], list(printed)
     for result in results:
-        rows.append(Row(result.name, _training(result), tuple(ours(result)), partial=_partial(result)))
+        rows.append(Row(result.name, note_of([result]), tuple(ours(result)), partial=_partial(result)))
         for row in printed:
             if row.matches(result):
                 rows.append(Row(row.name, "", tuple(theirs(row)), source="paper"))
@@ -252,8 +252,11 @@ def _beside(
     return (*rows, *(Row(row.name, "", tuple(theirs(row)), source="paper") for row in left))
 
 
-def _training(result: Result) -> str:
-    return training_of([result.training])
+def note_of(results: Sequence[Result]) -> str:
+    """What the figures of a row rest on: the training of these results, and where they depart from the protocol."""
+    departures = ", ".join(dict.fromkeys(result.departures for result in results if result.departures))
+    training = training_of([result.training for result in results])
+    return f"{training}; departs from the protocol: {departures}" if departures else training
 
 
 def training_of(trainings: Sequence[tuple[Training, ...]]) -> str:

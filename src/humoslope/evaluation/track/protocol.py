@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from humoslope.errors import UserError
 from humoslope.ranges import Checked, Count, Finite, NotEmpty, NotNegative, Positive, Seed, Timestep
@@ -105,9 +106,13 @@ class HeldOutProtocol(Checked):
 
     def departures(self, from_: HeldOutProtocol) -> str:
         """Fields that differ from those of another protocol, except for the cells and the number of trials."""
-        mine, other = vars(self), vars(from_)
-        names = [n for n in mine if n not in ("trials", "grades", "tiers") and mine[n] != other[n]]
-        return ", ".join(f"{name} {mine[name]}" for name in names)
+        return departing(vars(self), from_)
+
+
+def departing(settings: Mapping[str, Any], from_: HeldOutProtocol) -> str:
+    """As `HeldOutProtocol.departures`, of the fields by name; those that an older version did not have do not differ."""
+    other = {name: value for name, value in vars(from_).items() if name not in ("trials", "grades", "tiers")}
+    return ", ".join(f"{name} {settings[name]}" for name in other if settings.get(name, other[name]) != other[name])
 
 
 SWEEP_GRADES = tuple(float(grade) for grade in range(10, 41))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
@@ -21,7 +21,7 @@ from humoslope.evaluation.report.page import pictures
 from humoslope.evaluation.report.page.parts import Policy, differing
 from humoslope.evaluation.report.page.template import TEMPLATE
 from humoslope.evaluation.report.paper import Paper
-from humoslope.evaluation.report.results import Result, from_report
+from humoslope.evaluation.report.results import Result, from_report, with_sweep
 from humoslope.evaluation.report.table import Sheet
 from humoslope.evaluation.report.tables import ablation_table, causes_table, cells_table, main_table
 
@@ -308,7 +308,7 @@ def _result(policy: Policy) -> Result | None:
         ) from None
     if of_sweep is None:
         return result
-    return replace(result, limit=of_sweep.limit, swept=True, beyond=of_sweep.beyond)
+    return with_sweep(result, of_sweep)
 
 
 def _sheet(sheet: Sheet, fold: str = "") -> Table:
