@@ -71,9 +71,11 @@ def test_the_worst_of_several_figures_is_the_one_furthest_on_the_wrong_side(name
 
 
 def test_figures_are_means_over_the_trials_that_tell_them_in_the_unit_of_the_demand() -> None:
-    fell = replace(GOOD, fell=True, speed=math.nan, gait=Gait(*[math.nan] * 4))
-    assert figure("speed", 0, GOOD, replace(GOOD, speed=0.4), fell) == pytest.approx(0.45)
+    fell = replace(GOOD, fell=True, speed=math.nan, step_rate=math.nan, gait=Gait(*[math.nan] * 4))
+    assert figure("step-rate", 0, GOOD, replace(GOOD, step_rate=2.0), fell) == pytest.approx(2.25)
+    assert math.isnan(figure("step-rate", 0, fell))
     assert math.isnan(figure("speed", 0, fell))
+    assert math.isnan(figure("backward", 0, fell))
     assert figure("push-falls", 0, GOOD, fell) == 50.0
     assert figure("self-contact", 0, GOOD) == pytest.approx(0.5)
     assert figure("knee-flexion", 0, GOOD) == pytest.approx(30.0)
@@ -91,6 +93,23 @@ def test_errors_are_against_what_was_asked_and_slips_count_downhill() -> None:
     )
     assert figure("across-slip", rises_left, replace(GOOD, lateral_speed=-0.3)) == pytest.approx(0.3)
     assert figure("across-slip", rises_right, replace(GOOD, lateral_speed=-0.3)) == pytest.approx(-0.3)
+
+
+def test_errors_to_either_side_do_not_make_up_for_each_other() -> None:
+    sideways = [replace(GOOD, lateral_speed=speed) for speed in (0.0, 0.6)]  # asked: 0.3
+    assert figure("sideways", 0, *sideways) == pytest.approx(0.3)
+    backward = [replace(GOOD, speed=speed) for speed in (-0.25, -0.45, math.nan)]  # asked: -0.3
+    assert figure("backward", 0, *backward) == pytest.approx(0.1)
+    turning = [replace(GOOD, yaw_rate=rate) for rate in (0.0, 1.2)]  # asked: 0.6
+    assert figure("turning", 0, *turning) == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("name", ["speed", "imu-speed"])
+def test_speeds_are_told_of_the_trial_furthest_from_what_was_asked(name: Name) -> None:
+    slow_and_fast = [replace(GOOD, speed=speed) for speed in (0.5, 0.35, 0.64, math.nan)]
+    assert figure(name, 0, *slow_and_fast) == 0.35
+    assert not ALL[name].met(figure(name, 0, *slow_and_fast))
+    assert figure(name, 0, GOOD, replace(GOOD, speed=0.56)) == 0.56
 
 
 def test_an_imu_is_tilted_by_the_same_angle_about_another_axis_in_each_trial() -> None:
