@@ -95,7 +95,14 @@ def margins(sha256: str, **changes: Any) -> dict[str, Any]:
         {"value": value, "holds": holds, "trials": 60, "successes": n, "falls": 60 - n, "share_at_least": n / 66.0}
         for value, holds, n in ((5.0, True, 60), (6.0, False, 40))
     ]
-    quantity = {"meaning": "mass", "unit": "kg", "grid": [0.0, 5.0, 6.0], "limit": 5.0, "first_failing": 6.0, "monotone": True}
+    quantity = {
+        "meaning": "mass",
+        "unit": "kg",
+        "grid": [0.0, 5.0, 6.0],
+        "limit": 5.0,
+        "first_failing": 6.0,
+        "monotone": True,
+    }
     return {
         "what": "margins",
         "policy": {"task": made_up.TASK, "sha256": sha256},
@@ -207,9 +214,7 @@ def test_the_overview_marks_the_rates_of_a_partial_evaluation() -> None:
     assert _success(of_policy) == f"{whole} (partial)"  # type: ignore[arg-type]
 
 
-def test_margins_on_another_robot_or_of_fewer_quantities_do_not_stand_for_the_policy(
-    run: Path, tmp_path: Path
-) -> None:
+def test_margins_on_another_robot_or_of_fewer_quantities_do_not_stand_for_the_policy(run: Path, tmp_path: Path) -> None:
     """Whatever was written last."""
     sha256 = hashlib.sha256((run / "model_0.pt").read_bytes()).hexdigest()
     whole = margins(sha256)

@@ -15,9 +15,7 @@ from humoslope.errors import UserError
 from humoslope.evaluation.margins.search import GUARDS, Rule, Search
 
 
-def searched(
-    size: int, holds: Callable[[int], bool], known: dict[int, bool] | None = None
-) -> tuple[Search, list[int]]:
+def searched(size: int, holds: Callable[[int], bool], known: dict[int, bool] | None = None) -> tuple[Search, list[int]]:
     search, asked = Search(size, {0: True} if known is None else known), []
     steps = search.run()
     index = next(steps, None)

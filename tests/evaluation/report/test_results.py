@@ -109,7 +109,10 @@ def test_a_sweep_of_another_checkpoint_is_not_joined(tmp_path, read):
         return made | {"checkpoints": [made["checkpoints"][0] | {"sha256": sha256} for sha256 in hashes]}
 
     track = write(tmp_path, "track", told_of(report(), "a", "b"))
-    same, other = write(tmp_path, "same", told_of(sweep(33.0), "b", "a")), write(tmp_path, "other", told_of(sweep(33.0), "c"))
+    same, other = (
+        write(tmp_path, "same", told_of(sweep(33.0), "b", "a")),
+        write(tmp_path, "other", told_of(sweep(33.0), "c")),
+    )
     (one,) = read([f"mine={track}", f"mine={same}"])
     assert [run.limit for run in getattr(one, "runs", (one,))] == [33.0]
     with pytest.raises(UserError) as error:

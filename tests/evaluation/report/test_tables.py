@@ -222,7 +222,10 @@ def test_every_row_says_what_its_training_cost_and_whether_a_harness_helped(resu
 
 def test_a_row_says_in_what_it_departs_from_the_protocol(tmp_path, paper):
     def asked(**changes):
-        return {"protocol": plain(replace(HeldOutProtocol(), **changes)), "checkpoints": [{**checkpoint, "sha256": "a"}]}
+        return {
+            "protocol": plain(replace(HeldOutProtocol(), **changes)),
+            "checkpoints": [{**checkpoint, "sha256": "a"}],
+        }
 
     checkpoint = report()["checkpoints"][0]
     track = write(tmp_path, "track", report(0.9, STAGE2, **asked(noise=False, timestep=0.002, grades=(20.0,))))

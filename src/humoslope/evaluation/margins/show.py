@@ -17,13 +17,15 @@ COLUMNS = 4
 def table(report: dict[str, Any]) -> Table:
     """The limits of all quantities."""
     rule, robot = report["rule"], _robot(report)
+    notes = [
+        *([f"examined{robot}"] if robot else []),
+        f"holds: a share of {rule['share']:.10g} succeeds, with a confidence of {rule['confidence']:.10g} for each value",
+        f"success: {report['success']}",
+    ]
+    if not all(found["monotone"] for found in report["quantities"].values()):
+        notes.append("(*) a value beyond the first failing one held again")
     result = Table(
-        title=f"Margins{robot}",
-        box=SIMPLE_HEAD,
-        collapse_padding=True,
-        pad_edge=False,
-        caption=f"{'examined' + robot + '; ' if robot else ''}holds: a share of {rule['share']:.10g} of trials succeed, with a confidence of "
-        f"{rule['confidence']:.10g} for each value; success: {report['success']}",
+        title=f"Margins{robot}", box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False, caption="; ".join(notes)
     )
     for column in ("quantity", "unit", "from", "holds to", "at least", "fails at", "passed", "falls"):
         result.add_column(column, justify="left" if column in ("quantity", "unit") else "right", no_wrap=True)
@@ -44,8 +46,6 @@ def table(report: dict[str, Any]) -> Table:
                 else ("-", "-", "-")
             ),
         )
-    if not all(found["monotone"] for found in report["quantities"].values()):
-        result.caption = f"{result.caption}; (*) a value beyond the first failing one held again"
     return result
 
 

@@ -331,7 +331,8 @@ def _joined(found: Sequence[tuple[Path, Result]]) -> Result:
     hashes = [sorted(result.checkpoints) for result in (track, sweep)]
     if all(hashes) and hashes[0] != hashes[1]:
         raise UserError(
-            f"'{path}' and '{of_sweep}' are both of '{track.name}', but of different checkpoints; name them as NAME=FILE."
+            f"'{path}' and '{of_sweep}' are both of '{track.name}', but of different checkpoints; "
+            "name them as NAME=FILE."
         )
     return with_sweep(track, sweep)
 

@@ -110,7 +110,7 @@ class HeldOutProtocol(Checked):
 
 
 def departing(settings: Mapping[str, Any], from_: HeldOutProtocol) -> str:
-    """As `HeldOutProtocol.departures`, of the fields by name; those that an older version did not have do not differ."""
+    """As `HeldOutProtocol.departures`, of fields by name; those that an older version did not have do not differ."""
     other = {name: value for name, value in vars(from_).items() if name not in ("trials", "grades", "tiers")}
     return ", ".join(f"{name} {settings[name]}" for name in other if settings.get(name, other[name]) != other[name])
 
