@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from humoslope.evaluation.report.paper import read_paper
 from humoslope.evaluation.report.results import Method, read_methods, read_results
 from humoslope.evaluation.report.seed_tables import ONE_SEED_NOTE, ablation_over_seeds, differences, main_over_seeds
 from humoslope.evaluation.report.seeds import Estimate
+from humoslope.evaluation.report.tables import MEAN_NOTE, SR_NOTE, ablation_table, main_table
 from humoslope.evaluation.track.summary import trial_values
 from humoslope.statistics import Proportion
 from tests.evaluation.made_up import GRADES, SEGMENTS, TIERS, outcomes, report, sweep, write
@@ -145,6 +147,34 @@ def test_table_1_over_seeds_averages_the_limits(methods: list[Method]) -> None:
     assert limit.low < 31.0
     assert sheet.rows[-1].source == "paper"
     assert all(len(row.values) == len(sheet.columns) for row in sheet.rows)
+
+
+def test_limits_of_which_one_may_be_higher_have_no_mean(methods: list[Method]) -> None:
+    first, *others = methods[0].runs
+    sheet = main_over_seeds([Method(FULL, (replace(first, beyond=True), *others))], read_paper())
+    assert sheet.rows[0].values[-1] is None
+    said = f"{FULL}: the sweep of 1 of 3 seeds ends at their limit, which may be higher: no mean."
+    assert said in sheet.notes
+    assert not any("may be higher" in note for note in main_over_seeds(methods, read_paper()).notes)
+    alone = main_over_seeds([Method(FULL, (replace(first, beyond=True),))], read_paper())
+    assert alone.rows[0].values[-1] == 31.0
+    assert f"{FULL}: the sweep ends there, the limit may be higher." in alone.notes
+
+
+def test_tables_over_seeds_explain_their_metrics_as_tables_of_single_results_do(methods: list[Method]) -> None:
+    paper, runs = read_paper(), methods[2].runs
+    intervals = {SR_NOTE, MEAN_NOTE}
+    single, over_seeds = main_table(runs, paper), main_over_seeds(methods, paper)
+    assert set(single.notes) - intervals <= set(over_seeds.notes)
+    assert set(ablation_table(runs, paper).notes) - intervals <= set(ablation_over_seeds(methods, paper).notes)
+    for word in (
+        "SR: share of trials that reach the goal",
+        "T_trav: ",
+        "MXD stops at",
+        "self-contact: ",
+        "Max grade: ",
+    ):
+        assert any(word in note for note in over_seeds.notes), word
 
 
 def test_the_verb_prints_and_writes_both(files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

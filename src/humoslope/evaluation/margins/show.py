@@ -19,7 +19,7 @@ def table(report: dict[str, Any]) -> Table:
     rule, robot = report["rule"], _robot(report)
     notes = [
         *([f"examined{robot}"] if robot else []),
-        f"holds: a share of {rule['share']:.10g} succeeds, with a confidence of {rule['confidence']:.10g} for each value",
+        f"holds: a share of {rule['share']:.10g} succeeds, confidence {rule['confidence']:.10g} for each value",
         f"success: {report['success']}",
     ]
     if not all(found["monotone"] for found in report["quantities"].values()):

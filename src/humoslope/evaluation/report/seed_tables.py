@@ -15,9 +15,11 @@ from humoslope.evaluation.report.tables import (
     ABLATION,
     GRADES,
     LATER,
+    LIMIT_NOTE,
     MORE,
     PAPER_NOTE,
     TASK,
+    metric_notes,
     note_of,
     partial_note,
     their_figures,
@@ -38,6 +40,7 @@ SEEDS_NOTE = (
     "Means over seeds, each with the same weight. Intervals: 95 %, by a hierarchical bootstrap over seeds and trials, "
     "widened for few seeds by Student's t."
 )
+SR_NOTE = "SR: share of trials that reach the goal; all friction tiers together."
 ONE_SEED_NOTE = "One seed: its interval is over trials alone, and says nothing about another training."
 CHANCE_NOTE = (
     "Better or worse is said only where the interval of the difference is on one side of zero. Each interval stands "
@@ -113,7 +116,15 @@ def _table(
     if limit:
         columns.append(Column("max grade", "°", 1, interval=True))
     runs = [run for method in methods for run in method.runs]
-    notes = (SEEDS_NOTE, *_one_seed_note(methods), *([PAPER_NOTE] if printed else []), *partial_note(runs))
+    notes = (
+        SEEDS_NOTE,
+        *_one_seed_note(methods),
+        SR_NOTE,
+        *metric_notes(runs, grades, names),
+        *([LIMIT_NOTE, *_beyond_notes(methods)] if limit else []),
+        *([PAPER_NOTE] if printed else []),
+        *partial_note(runs),
+    )
     return Sheet(title=title, columns=tuple(columns), rows=tuple(rows), notes=notes)
 
 
@@ -188,14 +199,29 @@ def _trials(at: Grade, name: str) -> Trials | None:
 
 
 def _limit(method: Method) -> Value:
-    """Steepest grade, averaged over the seeds that were swept."""
+    """Steepest grade, averaged over the seeds that were swept; None where the limit of one of them is not known."""
     limits = [run.limit for run in method.runs if run.swept]
     if len(method.runs) == 1:
         return method.runs[0].limit
+    if any(run.beyond for run in method.runs):
+        return None
     known = [limit for limit in limits if limit is not None]
     if not known or len(known) < len(limits):
         return None
     return Scores([Trials(np.array([limit]), np.ones(1)) for limit in known], f"{method.name} limit").estimate()
+
+
+def _beyond_notes(methods: Sequence[Method]) -> list[str]:
+    """Remarks on limits that may lie beyond a sweep."""
+    notes = []
+    for method in methods:
+        beyond = [run.limit for run in method.runs if run.beyond]
+        if beyond and len(method.runs) == 1:
+            notes.append(f"{method.name}: the sweep ends there, the limit may be higher.")
+        elif beyond:
+            seeds = f"{len(beyond)} of {len(method.runs)} seeds"
+            notes.append(f"{method.name}: the sweep of {seeds} ends at their limit, which may be higher: no mean.")
+    return notes
 
 
 def _partial(method: Method) -> str:

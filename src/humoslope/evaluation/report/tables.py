@@ -18,6 +18,11 @@ GRADES = (0.0, 10.0, 20.0, 30.0)
 PAPER_NOTE = "paper: as printed there, on another track in another simulator; its training budget is not stated."
 SR_NOTE = "SR: share of trials that reach the goal, with Wilson's 95 % interval; all friction tiers together."
 SELF_NOTE = "self-contact: share of the time in which two parts of the robot press on each other, mean over trials."
+ABLATION_NOTES = (
+    "CoT: sum of |torque x velocity| over weight and forward way, all trials. τ_knee: mean of trials' peaks.",
+    "h_com: above the ground below the centre of mass. error: of a trial's mean speed from the commanded one.",
+)
+LIMIT_NOTE = "Max grade: steepest with SR of 50 % and more in the slope-limit sweep."
 MEAN_NOTE = "±: 95 % of the mean over trials of this policy on this track, by Student's t."
 AT_SPEED = "at the commanded speed"
 """Name of the row with the time that the commanded speed takes."""
@@ -69,9 +74,8 @@ def main_table(results: Sequence[Result], paper: Paper) -> Sheet:
     notes = [
         SR_NOTE,
         MEAN_NOTE,
-        *_time_notes(results, grades),
-        *([SELF_NOTE] if "self_contact" in names else []),
-        "Max grade: steepest with SR of 50 % and more in the slope-limit sweep.",
+        *metric_notes(results, grades, names),
+        LIMIT_NOTE,
         *(f"{r.name}: the sweep ends there, the limit may be higher." for r in results if r.beyond),
     ]
     columns = [column for grade in grades for column in _columns(names, f"{grade:g}°")]
@@ -99,6 +103,15 @@ def _at_speed(setup: TrialSetup, grades: Sequence[float], names: Sequence[str], 
     figures = [setup.commanded_seconds(g) if name == "traversal_s" else None for g in grades for name in names]
     note = f"{setup.speed:g} m/s along the ground to {setup.goal:g} m"
     return Row(AT_SPEED, note, (*figures, *(None,) * after), source="reference")
+
+
+def metric_notes(results: Sequence[Result], grades: Sequence[float], names: Sequence[str]) -> list[str]:
+    """Remarks that tables of these metrics at these grades need, beyond those on their intervals."""
+    return [
+        *_time_notes(results, grades),
+        *([SELF_NOTE] if "self_contact" in names else []),
+        *(ABLATION_NOTES if set(ABLATION) <= set(names) else ()),
+    ]
 
 
 def _time_notes(results: Sequence[Result], grades: Sequence[float]) -> list[str]:
@@ -131,10 +144,7 @@ def ablation_table(results: Sequence[Result], paper: Paper, grade: float = 20.0)
         notes=(
             SR_NOTE,
             MEAN_NOTE,
-            *_time_notes(results, [grade]),
-            *([SELF_NOTE] if "self_contact" in names else []),
-            "CoT: sum of |torque x velocity| over weight and forward way, all trials. τ_knee: mean of trials' peaks.",
-            "h_com: above the ground below the centre of mass. error: of a trial's mean speed from the commanded one.",
+            *metric_notes(results, [grade], names),
             PAPER_NOTE,
             *partial_note(results),
         ),
