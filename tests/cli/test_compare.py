@@ -116,6 +116,25 @@ def test_the_band_goes_from_the_lowest_to_the_highest_seed() -> None:
     x, mean, low, high = band(curves, "Train/speed", points=4)
     assert list(x) == [1000.0, 4000.0, 7000.0, 10000.0]
     assert (set(mean), set(low), set(high)) == ({3.0}, {1.0}, {6.0})
+    assert list(band(curves, "Train/speed", at=4000.0, points=4)[0]) == [1000.0, 2000.0, 3000.0, 4000.0]
+    assert band(curves, "Train/speed", at=20_000.0)[0][-1] == 10_000.0
+
+
+def test_curves_end_where_the_runs_are_compared(
+    seeds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends = []
+
+    def drawn(*given: object, **named: object) -> object:
+        found = band(*given, **named)  # type: ignore[arg-type]
+        ends.append(found[0][-1])
+        return found
+
+    monkeypatch.setattr("humoslope.evaluation.report.bands.band", drawn)
+    for options, end in (((), 20_000.0), (("--at", "12000"), 12_000.0)):
+        ends.clear()
+        assert main(["compare", *seeds, *options, "--curves", str(tmp_path / "a.png")]) == 0
+        assert set(ends) == {end}
 
 
 def test_a_run_without_event_files_may_have_its_curves_in_a_table(runs: list[str], tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,6 +22,9 @@ def draw_bands(runs: Sequence[TrainingRun], out: Path, at: float = 0.0) -> None:
     """Writes a figure of the learning curves: of each method the mean over its seeds, in a band from the lowest to the
     highest seed.
 
+    Args:
+        at: Environment steps at which the curves end; 0 for those of the shortest seed of each method.
+
     Raises:
         UserError: If a run has no curves, or the figure cannot be written.
     """
@@ -36,7 +40,7 @@ def draw_bands(runs: Sequence[TrainingRun], out: Path, at: float = 0.0) -> None:
         axis.set_visible(False)
     for axis, panel in zip(axes, panels, strict=False):
         for i, (name, places) in enumerate(grouped(runs).items()):
-            steps, mean, low, high = band([curves[k] for k in places], panel.tag)
+            steps, mean, low, high = band([curves[k] for k in places], panel.tag, at or math.inf)
             colour = COLOURS[i % len(COLOURS)]
             axis.plot(steps / 1e6, mean, color=colour, linewidth=1.8, label=f"{name} ({len(places)})")
             axis.fill_between(steps / 1e6, low, high, color=colour, alpha=0.18, linewidth=0.0)
@@ -51,15 +55,17 @@ def draw_bands(runs: Sequence[TrainingRun], out: Path, at: float = 0.0) -> None:
     save_figure(figure, out)
 
 
-def band(curves: Sequence[Curves], tag: str, points: int = 200) -> tuple[Array, Array, Array, Array]:
+def band(
+    curves: Sequence[Curves], tag: str, at: float = math.inf, points: int = 200
+) -> tuple[Array, Array, Array, Array]:
     """Mean, lowest and highest of smoothed curves.
 
     Returns:
-        Environment steps up to the end of the shortest curve, and the three there; all [points].
+        Environment steps up to `at` or the end of the shortest curve, and the three there; all [points].
     """
     ends = [max(of_run[STEPS].values()) for of_run in curves]
     starts = [min(of_run[STEPS].values()) for of_run in curves]
-    steps = np.linspace(max(starts), min(ends), points)
+    steps = np.linspace(max(starts), min(at, *ends), points)
     lines = []
     for of_run in curves:
         there = [i for i in of_run[tag] if i in of_run[STEPS]]
