@@ -63,6 +63,25 @@ def test_the_interval_of_three_seeds_holds_what_it_promises_and_differences_are_
     assert different / sets < 0.1
 
 
+def one_trial_each(*values: float, name: str = "a") -> Scores:
+    return Scores([Trials.of(np.array([value])) for value in values], name)
+
+
+@pytest.mark.parametrize("other", [(0.0, 1.0, 2.0), (0.3, 1.9, 3.1)])
+def test_a_difference_of_few_seeds_has_welchs_interval(other, monkeypatch):
+    """The side that varies more has nearly all of the variance, so the freedom of both is little more than its own."""
+    monkeypatch.setattr(module, "DRAWS", 50_000)
+    first = np.array([0.0, 4.0, 8.0])
+    mine, theirs = first.var(ddof=1) / 3, np.var(other, ddof=1) / 3
+    freedom = (mine + theirs) ** 2 / (mine**2 / 2 + theirs**2 / 2)  # 2.25 and 2.5; both have 4 together
+    half = stdtrit(freedom, 0.975) * math.sqrt(mine + theirs)
+    wide, narrow = one_trial_each(*first), one_trial_each(*other, name="b")
+    for found in (wide.minus(narrow), narrow.minus(wide)):
+        # Means of three drawn from three are few different ones, so that the draws are only nearly normal.
+        assert found.high - found.value == pytest.approx(half, rel=0.05)
+        assert found.value - found.low == pytest.approx(half, rel=0.05)
+
+
 def test_a_difference_that_is_there_is_seen():
     rng = RNG(4)
     better, worse = normal(rng, 3, 50, 0.05, 0.3, mean=1.0), normal(rng, 3, 50, 0.05, 0.3)
@@ -112,12 +131,22 @@ def test_nothing_to_draw_from_has_no_interval():
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_either_end():
-    scores = Scores([Trials.of(np.array([value])) for value in (0.0, 1.0, 2.0, 100.0)], "a")
+    scores = one_trial_each(0.0, 1.0, 2.0, 100.0)
     found = scores.interquartile_mean()
     assert found.value == 1.5
     assert found.low < 1.5 < found.high
-    few = Scores([Trials.of(np.array([value])) for value in (0.0, 1.0, 5.0)], "a")
+    few = one_trial_each(0.0, 1.0, 5.0)
     assert few.interquartile_mean() == few.estimate()
+
+
+def test_the_interval_of_an_interquartile_mean_has_the_freedom_of_the_seeds_that_are_left():
+    scores = one_trial_each(0.0, 1.0, 3.0, 7.0)
+    found = scores.interquartile_mean()
+    low, high = np.quantile(np.sort(scores.drawn, axis=1)[:, 1:3].mean(axis=1), (0.025, 0.975))
+    # Two of four are left: Student's quantile with one degree is 12.7.
+    wider = math.sqrt(4.0 / 3.0) * stdtrit(1, 0.975) / 1.96
+    assert found.high - found.value == pytest.approx(wider * (high - found.value), rel=1e-3)
+    assert found.value - found.low == pytest.approx(wider * (found.value - low), rel=1e-3)
 
 
 def test_draws_depend_on_the_name_alone():
