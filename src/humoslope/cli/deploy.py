@@ -121,6 +121,7 @@ def run(arguments: list[str]) -> None:
                 pace,
                 keys.pressed,
                 guardian.beat if guardian else lambda: True,
+                guardian.alive if guardian else lambda: True,
                 options.seconds or float("inf"),
                 lambda: say.hindrance(session),
             )

@@ -179,6 +179,31 @@ def test_a_closed_gate_lets_nothing_else_through(stage: Callable[..., Stage], co
     assert gate.reason == "first"
 
 
+def test_a_guardian_hears_nothing_before_the_motors_are_commanded(stage: Callable[..., Stage]) -> None:
+    """One that has heard something damps the robot when it hears nothing more."""
+    walk, stop = stage(), threading.Event()
+    heard: list[Mode] = []
+    looked: list[Mode] = []
+
+    def note(modes: list[Mode]) -> bool:
+        modes.append(walk.session.state.mode)
+        walk.link.run(0.02)
+        if len(heard) == 3:
+            stop.set()
+        return True
+
+    drive(walk.session, stop, Pace(0.01), beat=lambda: note(heard), alive=lambda: note(looked))
+    assert set(looked) == {Mode.WAIT}
+    assert heard[:3] == [Mode.ZERO_TORQUE] * 3
+
+
+def test_a_guardian_that_ends_early_ends_a_program_that_waits(stage: Callable[..., Stage]) -> None:
+    walk = stage()
+    drive(walk.session, threading.Event(), Pace(0.01), alive=lambda: False)
+    assert walk.session.state.reason == "the guardian process has ended"
+    assert walk.robot.commands == 0
+
+
 # In real time: whatever ends the loop, damping is what was sent last.
 
 
