@@ -11,16 +11,16 @@ import pytest
 
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.controller import Controller, OnnxPolicy
-from humoslope.deploy.onboard import simulated, states
+from humoslope.deploy.onboard import session, simulated, states
 from humoslope.deploy.onboard.person import Person
 from humoslope.deploy.onboard.pilot import Pilot
 from humoslope.deploy.onboard.session import Session
 from humoslope.deploy.onboard.simulated import Faults, InProcessLink, SimulatedRobot
 
-SCRIPT = "0.5:start 3.6:lower 5:A 5:forward=0.625 5.3:release"
+SCRIPT = "0.35:start 0.6:start 3.7:lower 5:A 5:forward=0.625 5.3:release"
 """From the gantry: the robot walks after 5 s."""
-SHORT = "0.4:start 0.4:lower 0.8:A 0.8:forward=0.625 1:release"
-"""From the ground: the robot walks after 0.8 s, where the move takes 0.3 s."""
+SHORT = "0.15:start 0.4:start 0.4:lower 0.8:A 0.8:forward=0.625 1:release"
+"""From the ground: the robot walks after 0.8 s, where it is listened to for 0.1 s and moved for 0.3 s."""
 
 
 @dataclass
@@ -45,11 +45,12 @@ class Stage:
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The way to the default pose takes 0.3 s; a robot that stands in it need not be moved for longer."""
     monkeypatch.setattr(states, "MOVE_S", 0.3)
+    monkeypatch.setattr(session, "LISTEN_S", 0.1)
 
 
 @pytest.fixture(scope="session")
 def stage(exported: Path, contract: Contract) -> Callable[..., Stage]:
-    """stage(script=..., grade=..., faults=..., **session): ready to run."""
+    """stage(script=..., grade=..., faults=..., **options of a session): ready to run."""
 
     def make(
         script: str = SHORT,
@@ -57,7 +58,7 @@ def stage(exported: Path, contract: Contract) -> Callable[..., Stage]:
         faults: Faults | None = None,
         folder: Path = exported,
         contract: Contract = contract,
-        **session: Any,
+        **options: Any,
     ) -> Stage:
         lifted = simulated.LIFTED_M if script.startswith(SCRIPT) else 0.0
         robot = SimulatedRobot(folder, contract, grade, faults=faults or Faults(), lifted=lifted)
@@ -78,7 +79,7 @@ def stage(exported: Path, contract: Contract) -> Callable[..., Stage]:
             link.clock,
             Pilot(contract.commands),
             say=lambda text: said.append((link.clock(), text)),
-            **session,
+            **options,
         )
         return Stage(robot, link, running, said, damped)
 

@@ -18,7 +18,7 @@ DEAD = 0.05
 BUTTON_REQUESTS = {"start": Request.START, "A": Request.WALK, "select": Request.STOP}
 """Requests by single buttons; L2 with B asks to stop, too."""
 KEY_REQUESTS = {"s": Request.START, "w": Request.WALK, " ": Request.STOP, "q": Request.STOP}
-KEYS = "s: move to the default pose; w: walk; up, down: speed; left, right: turn; 0: stand; space or q: stop"
+KEYS = "s: start; w: walk; up, down: speed; left, right: turn; 0: stand; space or q: stop"
 
 
 class Pilot:
