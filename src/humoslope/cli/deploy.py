@@ -119,7 +119,7 @@ def run(arguments: list[str]) -> None:
         say=say.state,
     )
     console.print(_introduction(contract, options), highlight=False, soft_wrap=True)
-    stop = threading.Event()
+    stop, seconds = threading.Event(), options.seconds or math.inf
     try:
         with signals_set(stop), keyboard() as keys:
             drive(
@@ -129,7 +129,7 @@ def run(arguments: list[str]) -> None:
                 keys.pressed,
                 guardian.beat if guardian else lambda: True,
                 guardian.alive if guardian else lambda: True,
-                options.seconds or float("inf"),
+                seconds,
                 lambda: say.waits(session),
             )
     finally:
@@ -138,7 +138,8 @@ def run(arguments: list[str]) -> None:
         link.close()
         _report(console, session, link)
         _save(console, options, contract, session, out)
-    if session.state.reason not in ("stop was asked for", "the program was asked to end") and options.seconds is None:
+    asked_for = ("stop was asked for", "the program was asked to end", f"{seconds:g} s are over")
+    if session.state.reason not in asked_for:
         raise UserError(f"the motors were damped: {session.state.reason}.")
 
 
