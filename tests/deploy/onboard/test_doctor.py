@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from humoslope.deploy.onboard.guards import Limits
 from humoslope.deploy.onboard.log import to_rollout
 from humoslope.deploy.onboard.simulated import Faults
 from humoslope.errors import UserError
+from humoslope.replay.rollout import load_rollout
 from tests.deploy.onboard.conftest import SHORT
 
 ROPE = "0.15:start 0.4:start 0.4:lower 0.8:A"
@@ -157,6 +159,19 @@ def test_a_log_of_another_contract_is_refused(
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "was recorded with another contract than the one in" in said
+
+
+def test_a_recording_that_is_younger_than_what_the_policy_saw_is_refused(
+    sound: Path, exported: Path, contract: Contract, tmp_path: Path
+) -> None:
+    """`humoslope record` keeps the robot's state of one physics step before, whatever the policy saw."""
+    rollout, path = load_rollout(sound), tmp_path / "walk.npz"
+    replace(rollout, header=rollout.header | {"protocol": {}}).save(path)
+    read_walk(path, exported, contract)  # one that saw the same
+    older = replace(contract, timing=replace(contract.timing, observation_age_s=0.01))
+    with pytest.raises(UserError, match="shows the robot 5 ms before each step, and the policy saw it 10 ms before"):
+        read_walk(path, exported, older)
+    assert len(read_walk(sound, exported, older))  # of `humoslope deploy`, which keeps what the policy saw
 
 
 def test_the_doctor_says_what_to_look_at_first(sound: Path, exported: Path, capsys: pytest.CaptureFixture[str]) -> None:
