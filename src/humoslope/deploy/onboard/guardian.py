@@ -60,7 +60,7 @@ class Guardian:
             raise UserError("the guardian, a second process that damps the robot if this one dies, did not start.")
 
     def beat(self) -> bool:
-        """Says that all is well; returns whether the guardian is there to hear it. From then on it may damp the robot."""
+        """Says that all is well; returns whether the guardian is there to hear it. From then on silence is a fault."""
         return self._send(BEAT)
 
     def alive(self) -> bool:
