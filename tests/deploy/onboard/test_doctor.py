@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from humoslope.deploy.contract import Contract
 from humoslope.deploy.controller import OnnxPolicy
 from humoslope.deploy.doctor import network
 from humoslope.deploy.doctor.diagnose import diagnose
+from humoslope.deploy.doctor.imu import TILTED_DEG
 from humoslope.deploy.doctor.network import mistakes
 from humoslope.deploy.doctor.walk import Finding, read_walk
 from humoslope.deploy.onboard import session, states
@@ -82,7 +84,6 @@ def test_a_sound_robot_is_not_blamed_on_a_slope_either(sound: Path, examine: Cal
         (Faults(flip="left_ankle_pitch_joint"), ROPE, "encoders: counting backward: left_ankle_pitch_joint"),
         (Faults(velocity_scale=0.5), SHORT, "joint velocities: are 0.49 times the rates of the positions"),
         (Faults(gyro_sign=-1.0), ROPE, "gyroscope: has the opposite sign"),
-        (Faults(imu_tilt_deg=(4.0, 0.0)), SHORT, "mounting of the IMU: turned by "),
         (Faults(imu_delay_s=0.03), SHORT, "age of the IMU: it is 3"),
         (Faults(delay_s=0.03), ROPE, "delay: from a target to the message that shows its torque it takes 20 to 40 ms"),
         (Faults(command_delay_s=0.03), ROPE, "delay: from a target to the message that shows its torque it takes 20"),
@@ -96,6 +97,16 @@ def test_the_fault_of_a_robot_is_named(
     findings = examine(recorded(faults, script, 3.0 if script == ROPE else 6.0))
     assert first(findings).startswith(said)
     assert not findings[0].wrong  # the program did what the contract says with what it read
+
+
+def test_a_tilted_imu_is_named_with_its_axis(
+    recorded: Callable[..., Path], examine: Callable[[Path], list[Finding]]
+) -> None:
+    findings = examine(recorded(Faults(imu_tilt_deg=(4.0, 0.0)), SHORT, 6.0))
+    assert not findings[0].wrong
+    found = re.match(r"mounting of the IMU: turned by .* \((\S+) about x, (\S+) about y\)$", first(findings))
+    assert found is not None
+    assert [float(degrees) for degrees in found.groups()] == pytest.approx([4.0, 0.0], abs=TILTED_DEG)
 
 
 @pytest.mark.parametrize(
