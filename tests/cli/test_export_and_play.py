@@ -72,7 +72,7 @@ def test_a_turn_outside_of_the_training_is_said(exported: Path, capsys: pytest.C
     for rate, warned in (("0.3", False), ("-0.4", True)):
         assert main(["play", str(exported), "--headless", "--seconds", "0.5", "--yaw-rate", rate]) == 0
         printed = capsys.readouterr().out
-        assert ("It was trained at 0.2 to 0.8 m/s and to turn at -0.3 to 0.3 rad/s." in printed) == warned
+        assert ("It was trained at 0.3 to 0.8 m/s and to turn at -0.3 to 0.3 rad/s." in printed) == warned
 
 
 def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
