@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,10 @@ from humoslope.deploy.onboard.pilot import Pilot
 from humoslope.deploy.onboard.session import Session
 from humoslope.deploy.onboard.simulated import Faults, InProcessLink, SimulatedRobot
 
-SCRIPT = "0.35:start 0.6:start 3.7:lower 5:A 5:forward=0.625 5.3:release"
+SCRIPT = "0.2:start 0.5:start 3.6:lower 5:A 5:forward=0.625 5.3:release"
 """From the gantry: the robot walks after 5 s."""
 SHORT = "0.15:start 0.4:start 0.4:lower 0.8:A 0.8:forward=0.625 1:release"
-"""From the ground: the robot walks after 0.8 s, where it is listened to for 0.1 s and moved for 0.3 s."""
+"""From the ground: the robot walks after 0.8 s, where the move takes 0.3 s."""
 
 
 @dataclass
@@ -41,11 +41,18 @@ class Stage:
         return self
 
 
+@pytest.fixture(autouse=True, scope="package")
+def soon() -> Iterator[None]:
+    """A robot is listened to for 0.1 s, so that start can be pressed twice in half a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "LISTEN_S", 0.1)
+        yield
+
+
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The way to the default pose takes 0.3 s; a robot that stands in it need not be moved for longer."""
     monkeypatch.setattr(states, "MOVE_S", 0.3)
-    monkeypatch.setattr(session, "LISTEN_S", 0.1)
 
 
 @pytest.fixture(scope="session")

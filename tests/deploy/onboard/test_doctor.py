@@ -19,7 +19,7 @@ from humoslope.deploy.doctor.diagnose import diagnose
 from humoslope.deploy.doctor.imu import TILTED_DEG
 from humoslope.deploy.doctor.network import mistakes
 from humoslope.deploy.doctor.walk import Finding, read_walk
-from humoslope.deploy.onboard import session, states
+from humoslope.deploy.onboard import states
 from humoslope.deploy.onboard.guards import Limits
 from humoslope.deploy.onboard.log import to_rollout
 from humoslope.deploy.onboard.simulated import Faults
@@ -43,7 +43,6 @@ def recorded(
     def make(faults: Faults, script: str = SHORT, seconds: float = 5.0, **more: Any) -> Path:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(states, "MOVE_S", 0.3)
-            patch.setattr(session, "LISTEN_S", 0.1)
             walk = stage(script, faults=faults, limits=Limits(start_pose_rad=3.0), hold_heading=True, **more)
             walk.run(seconds)
         rollout, arrays = to_rollout(exported, contract, walk.session.ticks, "test")
