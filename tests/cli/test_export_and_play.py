@@ -68,6 +68,13 @@ def test_other_commands_begin_on_the_slope_and_conditions_are_options(
     assert re.search(r"m/s ahead, -?[0-9.]+ m/s to the left, -?[0-9.]+ rad/s, ", printed)
 
 
+def test_a_turn_outside_of_the_training_is_said(exported: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for rate, warned in (("0.3", False), ("-0.4", True)):
+        assert main(["play", str(exported), "--headless", "--seconds", "0.5", "--yaw-rate", rate]) == 0
+        printed = capsys.readouterr().out
+        assert ("It was trained at 0.3 to 0.8 m/s and to turn at -0.3 to 0.3 rad/s." in printed) == warned
+
+
 def test_a_robot_that_is_asked_to_stand_is_measured_for_it(
     exported: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -111,6 +118,12 @@ def test_mistakes_are_said_in_one_sentence(
 
     assert "holds no policy.json; `humoslope export CHECKPOINT` writes one" in mistake("play", str(tmp_path))
     assert "a live walk is one trial; --trials needs --headless" in mistake("play", str(exported), "--trials", "2")
+    unasked = ("--lateral", "0.1", "--yaw-rate", "0", "--push-m-s", "0.5")
+    for options, said in (
+        (unasked, "steered by hand, and nobody pushes it; --lateral, --yaw-rate, --push-m-s: only with --headless"),
+        (unasked[4:], "a live walk is steered by hand, and nobody pushes it; --push-m-s: only with --headless"),
+    ):
+        assert said in mistake("play", str(exported), "--view", "window", *options)
     assert "play: grade is 70; it must be between" in mistake("play", str(exported), "--grade", "70", "--headless")
     monkeypatch.setattr("humoslope.deploy.views.has_display", lambda: False)
     assert "there is no display; serve a page for a browser with --view browser" in mistake("play", str(exported))

@@ -60,10 +60,21 @@ def test_recorded_bytes_steer(device: tuple[Path, int], steering: Steering) -> N
     assert after(HALF_LEFT) == [0.8, 0.0, 0.15]
     assert after(BARELY) == [0.0, 0.0, 0.0]
     assert after(FORWARD + LOWER) == [0.0, 0.0, 0.0]
-    assert after(FORWARD + LET_GO) == [0.8, 0.0, 0.0]
+    assert after(BARELY + FORWARD + LET_GO) == [0.8, 0.0, 0.0]
     assert not steering.restart
     after(RIGHT)
     assert steering.restart
+    pad.close()
+
+
+def test_a_resting_stick_that_jitters_leaves_keys_and_sliders_alone(
+    device: tuple[Path, int], steering: Steering
+) -> None:
+    path, end = device
+    pad = Gamepad(path)
+    os.write(end, BARELY)
+    assert pad.steer(steering)
+    assert list(steering.command) == [0.5, 0.0, 0.0]
     pad.close()
 
 

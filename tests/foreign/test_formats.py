@@ -56,12 +56,12 @@ def entry(size: int, history: int, scale: Any = 1.0, clip: Any = None) -> Entry:
 
 
 def terms(*history: int) -> dict[str, Entry]:
-    """All observations in an order of their own, some clipped, one with another scale for each component."""
+    """All observations in an order of their own, some clipped, some with another scale for each component."""
     gyro, gravity, command, pos, vel, action = history
     return {
         "last_action": entry(JOINTS, action, 0.5, [-0.4, 0.3]),
         "base_ang_vel": entry(3, gyro, 0.2),
-        "velocity_commands": entry(3, command, [2.0, 1.0, 0.25]),
+        "velocity_commands": entry(3, command, [1.0, 2.0, 0.25]),
         "joint_vel_rel": entry(JOINTS, vel, np.linspace(0.05, -0.1, JOINTS).tolist(), [-1.5, 1.0]),
         "joint_pos_rel": entry(JOINTS, pos),
         "projected_gravity": entry(3, gravity),

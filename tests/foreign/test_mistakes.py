@@ -64,7 +64,7 @@ MJLAB_FILE = mjlab_metadata(MJLAB)
         ),
         (without(MJLAB_FILE, "action_scale"), "has metadata of mjlab, but they lack 'action_scale'"),
         (MJLAB_FILE | {"joint_damping": "1,2"}, "has 2 numbers of damping for 29 joints"),
-        (MJLAB_FILE | {"joint_damping": "soft"}, "its joint_damping must be numbers"),
+        (MJLAB_FILE | {"joint_damping": "soft"}, "its joint_damping must be finite numbers"),
         (MJLAB_FILE | {"observation_terms_scale": "1"}, "observation_terms_scale has 1 entries for 7 observations"),
         (
             MJLAB_FILE | {"joint_names": MJLAB_FILE["joint_names"].replace("left_knee_joint", "left_nee_joint")},
@@ -134,6 +134,14 @@ ACTION = ("actions", "JointPositionAction")
         (change(*ACTION, "joint_names", to=["left_hand"]), "the robot has no joint 'left_hand'"),
         (change(*ACTION, "offset", to=[0.0] * 29), "the offset of its actions is not default_joint_pos"),
         (change(*ACTION, "clip", to=[[-1.0, 1.0]] * 29), "its actions have 'clip', which a contract cannot say"),
+        (change("step_dt", to="20 ms"), "its step_dt must be finite numbers"),
+        (change("stiffness", to=[float("inf")] * 29), "its stiffness must be finite numbers"),
+        (change("damping", to=3.0), "its damping must be finite numbers"),
+        (change("observations", "base_ang_vel", "scale", to=float("nan")), "its scale must be finite numbers"),
+        (change("observations", "base_ang_vel", "clip", to=[-1.0, float("nan")]), "its clip must be numbers"),
+        (change("observations", "base_ang_vel", "clip", to=[-1.0, 0.0, 1.0]), "of Unitree's: it has another form"),
+        (change("observations", "base_ang_vel", "history_length", to="five"), "of Unitree's: it has another form"),
+        (change("joint_ids_map", to=["left"] * 29), "of Unitree's: it has another form"),
         (
             change("actions", to={"JointVelocityAction": {}}),
             "its actions are JointVelocityAction; only JointPositionAction",

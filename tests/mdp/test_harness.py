@@ -320,19 +320,20 @@ def test_strictness_bears_more_falls_than_the_harness_but_no_standing(withdrawal
     assert harness.strictness.item() == pytest.approx(10 * 0.05 * withdrawal.env.step_dt, rel=1e-3)
 
 
-# Rewards and commands that grow with the strictness
+# Rewards and commands that grow with the training
 
 
-def test_strict_rewards_count_by_the_strictness(bare):
+@pytest.mark.parametrize(("params", "share"), [({}, 0.3), ({"by": "strictness"}, 0.3), ({"by": "withdrawn"}, 0.75)])
+def test_rewards_grow_as_the_harness_is_withdrawn_or_with_the_strictness(bare, params, share):
     seen = {}
     env = bare(2, rewards=SimpleNamespace(set_strength=lambda name, share: seen.update({name: share.item()})))
-    env.events = {"harness": Harness(env)}
-    env.events["harness"].strictness = torch.tensor(0.3)
+    harness = Harness(env, scale=0.25)
+    env.events, harness.strictness = {"harness": harness}, torch.tensor(0.3)
     env.cfg.rewards = Terms(landings=object(), other=object())
-    term = StrengthenRewards(env, rewards=("landings",))
-    assert term.step(env).item() == pytest.approx(0.3)
-    assert seen == pytest.approx({"landings": 0.3})
-    env.events["harness"].strictness = torch.tensor(1.0)
+    term = StrengthenRewards(env, rewards=("landings",), **params)
+    assert term.step(env).item() == pytest.approx(share)
+    assert seen == pytest.approx({"landings": share})
+    harness.scale, harness.strictness = torch.tensor(0.0), torch.tensor(1.0)
     term.step(env)
     assert seen == {"landings": 1.0}
 
@@ -344,12 +345,13 @@ def test_a_strict_reward_that_does_not_exist_and_an_event_that_is_no_harness_are
         StrengthenRewards(env, rewards=("landing",))
     with pytest.raises(UserError, match="event 'push' is not a Harness"):
         StrengthenRewards(env, rewards=("landings",), event="push")
+    with pytest.raises(UserError, match="progress of the harness 'strict' does not exist"):
+        StrengthenRewards(env, rewards=("landings",), by="strict")
 
 
-def test_commands_vary_by_the_strictness(bare):
+def test_commands_vary_as_the_harness_is_withdrawn(bare):
     env = bare(2, commands=SimpleNamespace())
-    env.events = {"harness": Harness(env), "push": object()}
-    env.events["harness"].strictness = torch.tensor(0.3)
+    env.events = {"harness": Harness(env, scale=0.7), "push": object()}
     assert VaryCommands(env).step(env).item() == pytest.approx(0.3)
     assert env.commands.variety.item() == pytest.approx(0.3)
     with pytest.raises(UserError, match="event 'push' is not a Harness"):

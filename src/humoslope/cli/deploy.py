@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import signal
 import sys
@@ -40,6 +41,12 @@ from humoslope.ranges import Checked, Finite, NotNegative, Positive
 
 SAID_EVERY_S = 2.0
 """Time between two lines about what is waited for, s."""
+NEXT = {
+    Mode.WAIT: "ready: press start (s) to command the motors, which stay limp",
+    Mode.ZERO_TORQUE: "ready: press start (s) again to move to the default pose",
+    Mode.HOLD: "ready: press A (w) to walk",
+}
+"""What a person does next."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +119,7 @@ def run(arguments: list[str]) -> None:
         say=say.state,
     )
     console.print(_introduction(contract, options), highlight=False, soft_wrap=True)
-    stop = threading.Event()
+    stop, seconds = threading.Event(), options.seconds or math.inf
     try:
         with signals_set(stop), keyboard() as keys:
             drive(
@@ -121,8 +128,9 @@ def run(arguments: list[str]) -> None:
                 pace,
                 keys.pressed,
                 guardian.beat if guardian else lambda: True,
-                options.seconds or float("inf"),
-                lambda: say.hindrance(session),
+                guardian.alive if guardian else lambda: True,
+                seconds,
+                lambda: say.waits(session),
             )
     finally:
         if guardian is not None:
@@ -130,7 +138,8 @@ def run(arguments: list[str]) -> None:
         link.close()
         _report(console, session, link)
         _save(console, options, contract, session, out)
-    if session.state.reason not in ("stop was asked for", "the program was asked to end") and options.seconds is None:
+    asked_for = ("stop was asked for", "the program was asked to end", f"{seconds:g} s are over")
+    if session.state.reason not in asked_for:
         raise UserError(f"the motors were damped: {session.state.reason}.")
 
 
@@ -143,22 +152,23 @@ def sdk_on_stderr() -> None:
 
 
 class _Sayer:
-    """Says each state, and from time to time what the robot waits for."""
+    """Says each state, what is to be done next, and from time to time what hinders it."""
 
     def __init__(self, console: Console, pace: Pace) -> None:
         self._console, self._clock, self._begun = console, pace.now, pace.now()
-        self._said, self._before = "", 0.0
+        self._said, self._before = "", self._begun
 
     def state(self, text: str) -> None:
         self._line(text)
+        self._said, self._before = "", -math.inf
 
-    def hindrance(self, session: Session) -> None:
+    def waits(self, session: Session) -> None:
         mode, now = session.state.mode, self._clock()
-        if mode not in (Mode.WAIT, Mode.ZERO_TORQUE) or session.hindrance is None:
-            return
-        if session.hindrance != self._said and now - self._before > SAID_EVERY_S:
-            self._said, self._before = session.hindrance, now
-            self._line(f"not yet: {session.hindrance}")
+        hindered = mode is not Mode.HOLD and session.hindrance is not None
+        text = f"not yet: {session.hindrance}" if hindered else NEXT.get(mode, "")
+        if text and text != self._said and now - self._before > SAID_EVERY_S:
+            self._said, self._before = text, now
+            self._line(text)
 
     def _line(self, text: str) -> None:
         self._console.print(f"{self._clock() - self._begun:7.2f} s  {text}", highlight=False, soft_wrap=True)
@@ -193,7 +203,7 @@ def _introduction(contract: Contract, options: Options) -> str:
         f"[bold]{training.title}[/bold], on {options.interface}\n{dry}"
         f"{1.0 / timing.control_step_s:g} commands a second, observations {1e3 * timing.observation_age_s:g} ms old\n"
         "[bold]Never tried on a real robot. Keep the gantry on, and the remote (select stops) in your hand.[/bold]\n"
-        f"remote: start, A to walk, select or L2+B to stop; keys: {pilot.KEYS}"
+        f"remote: start to command the motors and again to move, A to walk, select or L2+B to stop; keys: {pilot.KEYS}"
     )
 
 

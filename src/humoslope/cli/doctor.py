@@ -20,7 +20,8 @@ class Options:
 
     Attributes:
         folder: Folder that `humoslope export` wrote.
-        log: Rollout that `humoslope deploy` recorded; another recording of the same policy will do.
+        log: Rollout that `humoslope deploy` recorded; another recording of the same policy will do if it holds what the
+            policy saw.
     """
 
     folder: tyro.conf.Positional[Path]

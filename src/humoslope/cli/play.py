@@ -55,6 +55,14 @@ def run(arguments: list[str]) -> None:
     cfg, console = options.trials, Console()
     if not options.headless and cfg.trials > 1:
         raise UserError("a live walk is one trial; --trials needs --headless.")
+    given = {
+        "--lateral": cfg.lateral,
+        "--yaw-rate": cfg.yaw_rate is not None,
+        "--push-m-s": options.conditions.push_m_s,
+    }
+    if not options.headless and any(given.values()):
+        asked = ", ".join(name for name, value in given.items() if value)
+        raise UserError(f"a live walk is steered by hand, and nobody pushes it; {asked}: only with --headless.")
     folder = found(options.folder)
     contract = contracts.read(folder)
     kind = views.chosen(options.live.view)
@@ -103,14 +111,16 @@ def _introduction(contract: Contract, cfg: TrialCfg, conditions: Conditions) -> 
         f"{ground}, friction {cfg.friction:.3g}, {asked}; MuJoCo at "
         f"{timestep * 1e3:g} ms x {round(timing.control_step_s / timestep)}"
     )
-    (low, high), (right, left) = commands.forward_m_s, commands.left_m_s
+    (low, high), (right, left), turns = commands.forward_m_s, commands.left_m_s, commands.yaw_rate_rad_s
     # A range from backward to forward passes through zero, and says nothing about standing.
     within = low <= cfg.speed <= high and right <= cfg.lateral <= left
+    within = within and (cfg.yaw_rate is None or turns[0] <= cfg.yaw_rate <= turns[1])
     if commands.trained_to_stand if cfg.stands else within:
         return text
     aside = f" and at {right:g} to {left:g} m/s to the left" if cfg.lateral else ""
+    turning = f" and to turn at {turns[0]:g} to {turns[1]:g} rad/s" if cfg.yaw_rate else ""
     stand = ", and not to stand" if cfg.stands else ""
-    return f"{text}\n[yellow]It was trained at {low:g} to {high:g} m/s{aside}{stand}.[/yellow]"
+    return f"{text}\n[yellow]It was trained at {low:g} to {high:g} m/s{aside}{turning}{stand}.[/yellow]"
 
 
 def _report(done: list[Trial], cfg: TrialCfg) -> str:

@@ -40,8 +40,8 @@ class Options(Checked):
         cross: Slope across the course, degrees; only without a ramp.
         friction: Coefficient of friction between feet and ground.
         script: Actions of the person beside it, such as "1:start 5:lower 8:A 8:forward=0.6 8.5:release 20:select". Each
-            time, s, counts from the first command to the motors; a word is a button, lower, release, or a stick and
-            its deflection.
+            time, s, counts from the first command to the motors, for which the person presses start until it comes; a
+            word is a button, lower, release, or a stick and its deflection.
         seconds: Time to simulate, s; by default until it is interrupted.
         timestep: Physics step, s; the contract's by default.
         slower: Let time pass so many times slower, as `humoslope deploy` with the same option.

@@ -70,8 +70,9 @@ class Gamepad:
         self._rest = content[whole:]
         for _, value, kind, number in EVENT.iter_unpack(content[:whole]):
             if kind & ~INITIAL == AXIS and number in self._axes:
-                self._axes[number] = _beyond_dead_zone(value)
-                if not kind & INITIAL:
+                before, self._axes[number] = self._axes[number], _beyond_dead_zone(value)
+                # A resting stick jitters, and must not take the command from keys and sliders.
+                if not kind & INITIAL and self._axes[number] != before:
                     steering.push(-self._axes[ALONG], -self._axes[SIDEWAYS])
             elif kind == BUTTON and value and number == LOWER:
                 steering.stand()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from humoslope.deploy import rotation
 from humoslope.errors import UserError
 
 Array = NDArray[np.float64]
@@ -39,9 +40,8 @@ class Measured:
 
     @property
     def up_b(self) -> Array:
-        """The world's up direction in the root frame, [3]: the last row of the rotation matrix of `root_quat_w`."""
-        w, x, y, z = self.root_quat_w
-        return np.array([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
+        """The world's up direction in the root frame, [3]."""
+        return rotation.up_b(self.root_quat_w)
 
 
 @dataclass(frozen=True)

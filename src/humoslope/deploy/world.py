@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from humoslope.deploy import rotation
 from humoslope.deploy.conditions import NOMINAL, Conditions
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.controller import read_hashed
@@ -273,8 +274,11 @@ class World:
     @property
     def yaw(self) -> float:
         """Heading of the root, rad."""
-        w, x, y, z = self._seen_pos[self.free_pos + 3 : self.free_pos + 7]
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return float(rotation.yaw(self._seen_quat))
+
+    @property
+    def _seen_quat(self) -> Array:
+        return self._seen_pos[self.free_pos + 3 : self.free_pos + 7]
 
     def ground(self, x: float, y: float = 0.0) -> float:
         """Returns the height of the ground at x and y, m."""
@@ -318,8 +322,7 @@ class World:
         if any(warnings[kind].number for kind in (*bad, mujoco.mjtWarning.mjWARN_BADCTRL)):
             return True
         x, y, z = self.root_pos
-        _, qx, qy, _ = self._seen_pos[self.free_pos + 3 : self.free_pos + 7]
-        upright = 1.0 - 2.0 * (qx * qx + qy * qy)
+        upright = rotation.up_b(self._seen_quat)[2]
         too_low = fall.root_height_below_m is not None and z - self.ground(x, y) < fall.root_height_below_m
         tilted = fall.tilt_above_deg is not None and upright < math.cos(math.radians(fall.tilt_above_deg))
         return bool(too_low or tilted)

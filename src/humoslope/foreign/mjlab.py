@@ -71,7 +71,7 @@ def read(metadata: Mapping[str, str], path: Path) -> ForeignPolicy:
             _term(
                 ForeignTerm(name, quantity_of(name, OBSERVATIONS, path), history=max(1, frames)),
                 numbers(scale[i].split(";"), SCALE, path),
-                numbers(clip[i].split(";"), CLIP, path),
+                numbers(clip[i].split(";"), CLIP, path, finite=False),
                 path,
             )
         )

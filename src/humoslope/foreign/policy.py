@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from humoslope.deploy.contract import GaitClock, Range
 from humoslope.deploy.quantities import QUANTITIES
@@ -130,14 +132,22 @@ def repeated(values: Sequence[float], count: int) -> tuple[float, ...]:
     return tuple(values) * (count if len(values) == 1 else 1)
 
 
-def numbers(values: Iterable[object], what: str, path: Path) -> tuple[float, ...]:
+def numbers(values: Any, what: str, path: Path, finite: bool = True) -> tuple[float, ...]:
     """Returns values of a file as numbers.
 
+    Args:
+        values: What the file lists.
+        what: Its name in the file.
+        path: The file, for the message.
+        finite: Refuse infinite numbers; bounds may be infinite.
+
     Raises:
-        UserError: If one is none.
+        UserError: If one is none, or it is no list.
     """
-    listed = list(values)
     try:
-        return tuple(float(str(value)) for value in listed)
-    except ValueError:
-        raise UserError(f"'{path}': its {what} must be numbers.") from None
+        read = tuple(float(str(value)) for value in values)
+    except (TypeError, ValueError):
+        read = (math.nan,)
+    if any(math.isnan(value) or (finite and math.isinf(value)) for value in read):
+        raise UserError(f"'{path}': its {what} must be {'finite ' if finite else ''}numbers.")
+    return read

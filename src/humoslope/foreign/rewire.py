@@ -122,7 +122,7 @@ def _factors(policy: ForeignPolicy) -> tuple[NDArray[np.float32], NDArray[np.flo
     frames = []
     for term in policy.terms:
         size = term.size(len(policy.joints))
-        scale = np.broadcast_to(np.array(term.scale) if common_scale(term) != term.scale[0] else 1.0, size)
+        scale = np.broadcast_to(np.array(term.scale) if len(set(term.scale)) > 1 else 1.0, size)
         low, high = (np.broadcast_to(np.array([bound[i] for bound in term.bounds]), size) for i in (0, 1))
         frames.append(np.stack([scale, low, high]))
     if policy.frames_together:

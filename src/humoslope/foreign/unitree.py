@@ -56,7 +56,7 @@ def read(path: Path, motors: tuple[str, ...]) -> ForeignPolicy:
         raise UserError(f"'{path}' is no readable YAML file.") from None
     try:
         return _read(content, path, motors)
-    except (KeyError, TypeError, AttributeError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         what = f"lacks {error}" if isinstance(error, KeyError) else "has another form"
         raise UserError(f"'{path}' is not a deploy.yaml of Unitree's: it {what}.") from None
 
@@ -87,7 +87,7 @@ def _read(content: Mapping[str, Any], path: Path, motors: tuple[str, ...]) -> Fo
         terms=tuple(_term(name, entry, scale_first, path) for name, entry in observations.items()),
         frames_together=together,
         commands=_commands(content.get("commands") or {}, path),
-        control_step_s=float(content["step_dt"]),
+        control_step_s=numbers([content["step_dt"]], "step_dt", path)[0],
     )
 
 
@@ -120,7 +120,7 @@ def _term(name: str, entry: Mapping[str, Any], scale_first: bool, path: Path) ->
     scale = (1.0,) if given is None else numbers(given if isinstance(given, list) else [given], "scale", path)
     clip: Range = UNBOUNDED
     if entry.get("clip") is not None:
-        low, high = numbers(entry["clip"], "clip", path)
+        low, high = numbers(entry["clip"], "clip", path, finite=False)
         clip = (low, high)
     if scale_first:
         return ForeignTerm(name, plain.quantity, scale, (clip,), plain.history)

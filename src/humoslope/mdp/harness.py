@@ -6,7 +6,7 @@ It exists in training alone: no evaluation configures it, and a run that used it
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 import torch
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from humoslope.env import ManagerBasedRlEnv as Env
+
+
+PROGRESS = ("withdrawn", "strictness")
+"""Attributes of `Harness` that say how far the training has come, one after the other from 0 to 1."""
 
 
 class Harness(StatefulTerm):
@@ -63,6 +67,11 @@ class Harness(StatefulTerm):
         self._wrench = env.sim.state("xfrc_applied")  # [N, bodies, 6]: force, torque; world frame
         self._up = torch.tensor([[0.0, 0.0, 1.0]], device=env.device)
         self._chain = _Chain(env.sim.model, *self._bodies, env.device)
+
+    @property
+    def withdrawn(self) -> Tensor:
+        """What has been withdrawn of it, a scalar in [0, 1]."""
+        return 1.0 - self.scale
 
     def __call__(self, env: Env, mask: Tensor) -> None:
         signals = env.signals
@@ -122,8 +131,8 @@ class _Chain:
 class HarnessCurriculum(CurriculumTerm):
     """Curriculum: the harness is withdrawn while the robots hardly fall and really walk; then more is asked of them.
 
-    First things first: a robot that has to learn other directions, to bear pushes and to step rarely while its support
-    goes, falls ever more often, and keeps the rest of its support.
+    First things first: a robot that has to climb, to bear pushes and to step rarely while its support goes, falls ever
+    more often, and keeps the rest of its support.
 
     Args:
         event: Name of the `Harness` event.
@@ -142,8 +151,8 @@ class HarnessCurriculum(CurriculumTerm):
         env: Env,
         event: str = "harness",
         rate: NotNegative = 0.0083,
-        strict_rate: NotNegative = 0.003,
-        falls_per_second: NotNegative = 0.04,
+        strict_rate: NotNegative = 0.005,
+        falls_per_second: NotNegative = 0.06,
         falls_unaided: NotNegative = 0.1,
         speed_share: NotNegative = 0.7,
         memory_s: Positive = 10.0,
@@ -210,36 +219,47 @@ class HarnessCurriculum(CurriculumTerm):
 
 
 class StrengthenRewards(CurriculumTerm):
-    """Curriculum: some rewards count by the strictness that has been reached; see `HarnessCurriculum`.
+    """Curriculum: some rewards count by how far the training has come.
 
     Prices of steps and of restless actions belong here: paid from the start, they would make standing still the best
     that a robot can do before it has learnt to walk.
 
     Args:
         rewards: Names of the rewards.
+        by: What they grow with: what has been "withdrawn" of the harness, or the "strictness" that follows; see
+            `HarnessCurriculum`.
         event: Name of the `Harness` event.
     """
 
-    def __init__(self, env: Env, rewards: tuple[str, ...], event: str = "harness") -> None:
+    def __init__(
+        self,
+        env: Env,
+        rewards: tuple[str, ...],
+        by: Literal["withdrawn", "strictness"] = "strictness",
+        event: str = "harness",
+    ) -> None:
         for name in rewards:
             if name not in env.cfg.rewards:
                 raise unknown("reward", name, env.cfg.rewards)
-        self._harness, self._rewards = _harness(env, event), rewards
+        if by not in PROGRESS:
+            raise unknown("progress of the harness", by, PROGRESS)
+        self._harness, self._rewards, self._by = _harness(env, event), rewards, by
 
     def step(self, env: Env) -> Tensor:
         """Sets the strengths; returns it."""
-        strength = self._harness.strictness
+        strength: Tensor = getattr(self._harness, self._by)
         for name in self._rewards:
             env.rewards.set_strength(name, strength)
         return strength
 
 
 class VaryCommands(CurriculumTerm):
-    """Curriculum: robots are asked to stand, to turn and to walk in other directions as strictness grows.
+    """Curriculum: robots are asked to stand, to turn and to walk in other directions as the harness is withdrawn.
 
-    Who has not learnt to step yet learns from such commands that standing still is worth something. And who only knows
-    how to walk forward earns next to nothing for a command to walk backward, whatever it does about it; commands that
-    move away from forward little by little are followed.
+    To stand is a skill of its own, learnt while something still holds the robot: one that walks unaided marches on,
+    because on the way from marching to standing it falls. But who has not learnt to step yet learns from such commands
+    that standing still is worth something. And who only knows how to walk forward earns next to nothing for a command
+    to walk backward, whatever it does about it; commands that move away from forward little by little are followed.
 
     Args:
         event: Name of the `Harness` event.
@@ -250,7 +270,7 @@ class VaryCommands(CurriculumTerm):
 
     def step(self, env: Env) -> Tensor:
         """Sets the variety of commands; returns it."""
-        env.commands.variety = self._harness.strictness
+        env.commands.variety = self._harness.withdrawn
         return env.commands.variety
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,15 +11,15 @@ import pytest
 
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.controller import Controller, OnnxPolicy
-from humoslope.deploy.onboard import simulated, states
+from humoslope.deploy.onboard import session, simulated, states
 from humoslope.deploy.onboard.person import Person
 from humoslope.deploy.onboard.pilot import Pilot
 from humoslope.deploy.onboard.session import Session
 from humoslope.deploy.onboard.simulated import Faults, InProcessLink, SimulatedRobot
 
-SCRIPT = "0.5:start 3.6:lower 5:A 5:forward=0.625 5.3:release"
+SCRIPT = "0.2:start 0.5:start 3.6:lower 5:A 5:forward=0.625 5.3:release"
 """From the gantry: the robot walks after 5 s."""
-SHORT = "0.4:start 0.4:lower 0.8:A 0.8:forward=0.625 1:release"
+SHORT = "0.15:start 0.4:start 0.4:lower 0.8:A 0.8:forward=0.625 1:release"
 """From the ground: the robot walks after 0.8 s, where the move takes 0.3 s."""
 
 
@@ -41,6 +41,14 @@ class Stage:
         return self
 
 
+@pytest.fixture(autouse=True, scope="package")
+def soon() -> Iterator[None]:
+    """A robot is listened to for 0.1 s, so that start can be pressed twice in half a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "LISTEN_S", 0.1)
+        yield
+
+
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The way to the default pose takes 0.3 s; a robot that stands in it need not be moved for longer."""
@@ -49,7 +57,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def stage(exported: Path, contract: Contract) -> Callable[..., Stage]:
-    """stage(script=..., grade=..., faults=..., **session): ready to run."""
+    """stage(script=..., grade=..., faults=..., **options of a session): ready to run."""
 
     def make(
         script: str = SHORT,
@@ -57,7 +65,7 @@ def stage(exported: Path, contract: Contract) -> Callable[..., Stage]:
         faults: Faults | None = None,
         folder: Path = exported,
         contract: Contract = contract,
-        **session: Any,
+        **options: Any,
     ) -> Stage:
         lifted = simulated.LIFTED_M if script.startswith(SCRIPT) else 0.0
         robot = SimulatedRobot(folder, contract, grade, faults=faults or Faults(), lifted=lifted)
@@ -78,7 +86,7 @@ def stage(exported: Path, contract: Contract) -> Callable[..., Stage]:
             link.clock,
             Pilot(contract.commands),
             say=lambda text: said.append((link.clock(), text)),
-            **session,
+            **options,
         )
         return Stage(robot, link, running, said, damped)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from humoslope.deploy.contract import Contract
 from humoslope.deploy.controller import OnnxPolicy
 from humoslope.deploy.doctor import network
 from humoslope.deploy.doctor.diagnose import diagnose
+from humoslope.deploy.doctor.imu import TILTED_DEG
 from humoslope.deploy.doctor.network import mistakes
 from humoslope.deploy.doctor.walk import Finding, read_walk
 from humoslope.deploy.onboard import states
@@ -21,9 +24,10 @@ from humoslope.deploy.onboard.guards import Limits
 from humoslope.deploy.onboard.log import to_rollout
 from humoslope.deploy.onboard.simulated import Faults
 from humoslope.errors import UserError
+from humoslope.replay.rollout import load_rollout
 from tests.deploy.onboard.conftest import SHORT
 
-ROPE = "0.4:start 0.4:lower 0.8:A"
+ROPE = "0.15:start 0.4:start 0.4:lower 0.8:A"
 """The rope stays on, and the robot marks time: a robot with wrong encoders does not walk."""
 
 
@@ -79,7 +83,6 @@ def test_a_sound_robot_is_not_blamed_on_a_slope_either(sound: Path, examine: Cal
         (Faults(flip="left_ankle_pitch_joint"), ROPE, "encoders: counting backward: left_ankle_pitch_joint"),
         (Faults(velocity_scale=0.5), SHORT, "joint velocities: are 0.49 times the rates of the positions"),
         (Faults(gyro_sign=-1.0), ROPE, "gyroscope: has the opposite sign"),
-        (Faults(imu_tilt_deg=(4.0, 0.0)), SHORT, "mounting of the IMU: turned by "),
         (Faults(imu_delay_s=0.03), SHORT, "age of the IMU: it is 3"),
         (Faults(delay_s=0.03), ROPE, "delay: from a target to the message that shows its torque it takes 20 to 40 ms"),
         (Faults(command_delay_s=0.03), ROPE, "delay: from a target to the message that shows its torque it takes 20"),
@@ -93,6 +96,16 @@ def test_the_fault_of_a_robot_is_named(
     findings = examine(recorded(faults, script, 3.0 if script == ROPE else 6.0))
     assert first(findings).startswith(said)
     assert not findings[0].wrong  # the program did what the contract says with what it read
+
+
+def test_a_tilted_imu_is_named_with_its_axis(
+    recorded: Callable[..., Path], examine: Callable[[Path], list[Finding]]
+) -> None:
+    findings = examine(recorded(Faults(imu_tilt_deg=(4.0, 0.0)), SHORT, 6.0))
+    assert not findings[0].wrong
+    found = re.match(r"mounting of the IMU: turned by .* \((\S+) about x, (\S+) about y\)$", first(findings))
+    assert found is not None
+    assert [float(degrees) for degrees in found.groups()] == pytest.approx([4.0, 0.0], abs=TILTED_DEG)
 
 
 @pytest.mark.parametrize(
@@ -156,6 +169,19 @@ def test_a_log_of_another_contract_is_refused(
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "was recorded with another contract than the one in" in said
+
+
+def test_a_recording_that_is_younger_than_what_the_policy_saw_is_refused(
+    sound: Path, exported: Path, contract: Contract, tmp_path: Path
+) -> None:
+    """`humoslope record` keeps the robot's state of one physics step before, whatever the policy saw."""
+    rollout, path = load_rollout(sound), tmp_path / "walk.npz"
+    replace(rollout, header=rollout.header | {"protocol": {}}).save(path)
+    read_walk(path, exported, contract)  # one that saw the same
+    older = replace(contract, timing=replace(contract.timing, observation_age_s=0.01))
+    with pytest.raises(UserError, match="shows the robot 5 ms before each step, and the policy saw it 10 ms before"):
+        read_walk(path, exported, older)
+    assert len(read_walk(sound, exported, older))  # of `humoslope deploy`, which keeps what the policy saw
 
 
 def test_the_doctor_says_what_to_look_at_first(sound: Path, exported: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,7 +14,7 @@ import pytest
 from humoslope.cli import main
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.onboard.kinematics import Kinematics
-from humoslope.deploy.onboard.log import to_rollout
+from humoslope.deploy.onboard.log import _seen_ahead, to_rollout
 from humoslope.deploy.onboard.session import Ticks
 from humoslope.deploy.onboard.states import Mode
 from humoslope.errors import UserError
@@ -76,6 +77,20 @@ def test_a_row_holds_what_was_measured_after_its_action(walk: Stage, saved: Path
         held = archive["stiffness"].any(axis=1)
         np.testing.assert_allclose(archive["target"][held], target[held], atol=1e-5)
     assert [event.text for event in rollout.events] == ["zero torque", "move", "hold", "walk"]
+
+
+def test_velocity_slope_and_bank_are_those_in_the_direction_of_the_heading() -> None:
+    """A robot that faces 30 degrees to the left of the way up, and one that faces across it, with the way up on its
+    right: it walks ahead at 0.5 m/s and to the right at 0.2 m/s, on ground that rises by 0.4 m per metre of x."""
+    yaw, rise = np.radians([30.0, 90.0]), np.full(2, 0.4)
+    ahead, right = np.stack([np.cos(yaw), np.sin(yaw)]), np.stack([np.sin(yaw), -np.cos(yaw)])
+    x, y = 0.5 * ahead + 0.2 * right
+    along, slope, bank = _seen_ahead(yaw, rise, np.stack([x, y, 0.5 * rise * np.cos(yaw)], axis=1))
+    np.testing.assert_allclose(np.tan(slope), [0.4 * math.sqrt(0.75), 0.0], atol=1e-12)
+    np.testing.assert_allclose(np.tan(bank), [-0.2, -0.4])  # the left lies lower
+    np.testing.assert_allclose(along[:, 0], 0.5 / np.cos(slope))
+    np.testing.assert_allclose(along[:, 1], -0.2)
+    np.testing.assert_allclose(along[:, 2], 0.0, atol=1e-12)
 
 
 def test_viewers_pose_the_robot_as_mujoco_does(rollout: Rollout, exported: Path, contract: Contract) -> None:

@@ -130,18 +130,14 @@ def test_a_script_is_followed() -> None:
     assert seen == [([], 0.0), (["start"], 0.0), (["start"], 0.0), ([], 0.0), ([], 0.5), ([], 0.5)]
 
 
-def test_a_person_may_wait_for_the_first_command() -> None:
-    robot: Any = SimpleNamespace(time=5.0, remote=Remote(), commands=0)
-    person = Person("1:start", waits=True)
-    person.act(robot)
-    robot.commands = 1
-    person.act(robot)
-    robot.time = 5.9
-    person.act(robot)
-    assert not robot.remote.buttons
-    robot.time = 6.0
-    person.act(robot)
-    assert robot.remote.buttons == {"start"}
+def test_a_person_may_ask_for_the_first_command_until_it_comes() -> None:
+    robot: Any = SimpleNamespace(time=0.0, remote=Remote(), commands=0)
+    person, seen = Person("1:A", waits=True), []
+    for robot.time in (5.0, 5.1, 5.3, 6.0, 6.1, 6.9, 7.1, 7.2):
+        robot.commands = int(robot.time >= 6.1)
+        person.act(robot)
+        seen.append((robot.time, *robot.remote.buttons))
+    assert seen == [(5.0, "start"), (5.1, "start"), (5.3,), (6.0, "start"), (6.1,), (6.9,), (7.1, "A"), (7.2, "A")]
 
 
 @pytest.mark.parametrize(

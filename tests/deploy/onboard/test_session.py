@@ -6,11 +6,15 @@ import itertools
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from io import StringIO
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from humoslope.cli.deploy import _Sayer
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.onboard import drive as driving
 from humoslope.deploy.onboard.drive import drive
@@ -177,6 +181,53 @@ def test_a_closed_gate_lets_nothing_else_through(stage: Callable[..., Stage], co
     sent = gate.send(Command(np.zeros(29), *hold), np.zeros(29))
     assert not sent.stiffness.any()
     assert gate.reason == "first"
+
+
+def test_a_guardian_hears_nothing_before_the_motors_are_commanded(stage: Callable[..., Stage]) -> None:
+    """One that has heard something damps the robot when it hears nothing more."""
+    walk, stop = stage(), threading.Event()
+    heard: list[Mode] = []
+    looked: list[Mode] = []
+
+    def note(modes: list[Mode]) -> bool:
+        modes.append(walk.session.state.mode)
+        walk.link.run(0.02)
+        if len(heard) == 3:
+            stop.set()
+        return True
+
+    drive(walk.session, stop, Pace(0.01), beat=lambda: note(heard), alive=lambda: note(looked))
+    assert set(looked) == {Mode.WAIT}
+    assert heard[:3] == [Mode.ZERO_TORQUE] * 3
+
+
+def test_a_guardian_that_ends_early_ends_a_program_that_waits(stage: Callable[..., Stage]) -> None:
+    walk = stage()
+    drive(walk.session, threading.Event(), Pace(0.01), alive=lambda: False)
+    assert walk.session.state.reason == "the guardian process has ended"
+    assert walk.robot.commands == 0
+
+
+def test_nothing_goes_on_without_a_person_who_is_told_what_to_press(stage: Callable[..., Stage]) -> None:
+    walk, text = stage(""), StringIO()
+    say = _Sayer(Console(file=text, width=120), SimpleNamespace(now=walk.link.clock))  # type: ignore[arg-type]
+    walk.session._say = say.state
+    for until, key in ((2.2, "s"), (2.6, "s"), (3.1, "w"), (3.2, "")):
+        while walk.link.clock() < until - 1e-6:
+            walk.session.tick()
+            say.waits(walk.session)
+            walk.link.run(0.02)
+        assert bool(walk.robot.commands) == (until > 2.2)
+        walk.session.pilot.press(key)
+    assert [line.split(" s  ")[1] for line in text.getvalue().splitlines()] == [
+        "ready: press start (s) to command the motors, which stay limp",
+        "zero torque",
+        "ready: press start (s) again to move to the default pose",
+        "move",
+        "hold",
+        "ready: press A (w) to walk",
+        "walk",
+    ]
 
 
 # In real time: whatever ends the loop, damping is what was sent last.

@@ -35,6 +35,10 @@ def test_states_follow_each_other_on_the_way_or_end_in_damping(happens: list[tup
         elif state.mode is not before.mode:
             assert WAY.index(state.mode) == WAY.index(before.mode) + 1
             assert state.since == now
+            if state.mode in (Mode.ZERO_TORQUE, Mode.MOVE):
+                assert Request.START in seen.requests  # the first command, too, is asked for
+            if state.mode is Mode.WALK:
+                assert Request.WALK in seen.requests
         if Request.STOP in seen.requests:
             assert state.mode is Mode.DAMPING
         if seen.fault is not None and before.mode is not Mode.WAIT:

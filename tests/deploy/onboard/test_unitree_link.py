@@ -23,7 +23,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from humoslope.cli import main
+from humoslope.cli import deploy, main
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.onboard.messages import Command, Reading, Remote
 from humoslope.deploy.onboard.pace import pace_on
@@ -113,6 +113,26 @@ def test_bad_input_gets_one_sentence(
     found = capsys.readouterr().err
     assert said in found
     assert found.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("reason", "code"),
+    [
+        ("stop was asked for", 0),
+        ("the program was asked to end", 0),
+        ("2.5 s are over", 0),
+        ("the robot leans by 60 degrees, more than 57", 2),
+    ],
+)
+def test_an_end_that_nobody_asked_for_is_a_failure_also_within_a_given_time(
+    exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: str, code: int
+) -> None:
+    for name in ("load_sdk", "sdk_on_stderr"):
+        monkeypatch.setattr(deploy, name, lambda *_: None)
+    monkeypatch.setattr(deploy, "UnitreeLink", lambda *_: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(deploy, "drive", lambda session, *_: session.stop(reason))
+    monkeypatch.chdir(tmp_path)
+    assert main(["deploy", str(exported), "--interface", "lo", "--dry-run", "--seconds", "2.5"]) == code
 
 
 def test_an_export_with_another_network_is_refused(spoil: Callable[..., Path]) -> None:

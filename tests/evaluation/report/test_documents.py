@@ -135,6 +135,21 @@ def test_the_held_out_table_is_that_of_its_results_and_of_the_paper() -> None:
     assert {"at the commanded speed", *STAGES, *(f"paper: {method}" for method in paper)} == set(seen)
 
 
+def test_the_table_of_policies_from_outside_is_that_of_their_results() -> None:
+    rows = table("policy from outside", "0° SR %", "MXD m")
+    for (name, *cells), file in zip(rows, ("ppo", "fastsac"), strict=True):
+        assert name.lower() == f"holosoma, {file}"
+        found = read_results([f"x={RESULTS / 'outside' / f'holosoma-{file}'}.json"])[0]
+        expected = []
+        for grade in GRADES:
+            rate, way = (found.at(grade).summary[key] for key in ("success", "max_distance"))  # type: ignore[union-attr]
+            assert isinstance(rate, Proportion)
+            assert isinstance(way, Average)
+            assert (rate.total, way.trials) == (48, 48)
+            expected += [f"{100 * rate.share:.1f} ({100 * rate.low:.0f}-{100 * rate.high:.0f})", f"{way.mean:.1f}"]
+        assert cells == expected, name
+
+
 def test_the_short_table_of_the_readme_says_the_same() -> None:
     rows = table("method", "0°", "10°", "20°", "30°", "steepest")
     paper = {row.name: row for row in read_paper().main}

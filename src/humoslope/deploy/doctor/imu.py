@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from humoslope.deploy import rotation
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.doctor.walk import Finding, Walk
 from humoslope.deploy.onboard.kinematics import Kinematics
@@ -114,11 +115,10 @@ def _mounting(walk: Walk, kinematics: Kinematics, steady: slice) -> Finding:
         load = np.maximum(wrenches[:, 2], 0.0)
         if not load.any():
             continue
-        pos, rotation = kinematics.feet_poses()
-        pressed = [pos[i] + rotation[i] @ kinematics.pressed(wrenches[i], rotation[i], i) for i in range(2)]
+        pos, turned = kinematics.feet_poses()
+        pressed = [pos[i] + turned[i] @ kinematics.pressed(wrenches[i], turned[i], i) for i in range(2)]
         mean_leg += load.sum() * kinematics.com() - load @ np.array(pressed)
-        w, x, y, z = quat / np.linalg.norm(quat)
-        mean_up += [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)]
+        mean_up += rotation.up_b(quat / np.linalg.norm(quat))
     if not mean_leg.any():
         return Finding("mounting of the IMU", False, "cannot be told: no torques of a leg that carries were recorded")
     tilt = np.degrees(np.cross(mean_up / np.linalg.norm(mean_up), mean_leg / np.linalg.norm(mean_leg)))

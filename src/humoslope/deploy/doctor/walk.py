@@ -66,7 +66,8 @@ def read_walk(path: Path, folder: Path, contract: Contract) -> Walk:
     """Reads the walking part of a rollout, of `humoslope deploy` or another recording of the same policy.
 
     Raises:
-        UserError: If the file is no rollout, of another policy or contract, or too short.
+        UserError: If the file is no rollout, of another policy or contract, too short, or does not hold what the policy
+            saw.
     """
     rollout = load_rollout(path)
     _check_origin(path, rollout, folder, contract)
@@ -109,5 +110,12 @@ def _check_origin(path: Path, rollout: Rollout, folder: Path, contract: Contract
         raise UserError(f"rollout '{path}' was recorded with another contract than the one in '{folder}'.")
     if rollout.header["checkpoint"]["sha256"] != contract.training.sha256:
         raise UserError(f"rollout '{path}' is a walk of another checkpoint than the one that '{folder}' exports.")
+    # `humoslope record` keeps the state of the last physics step, and not what was measured.
+    kept_s, seen_s = contract.timing.physics_step_s, contract.timing.observation_age_s
+    if known is None and seen_s > kept_s * (1.0 + 1e-6):
+        raise UserError(
+            f"rollout '{path}' shows the robot {1e3 * kept_s:g} ms before each step, and the policy saw it "
+            f"{1e3 * seen_s:g} ms before; only a recording of `humoslope deploy` holds what it saw."
+        )
     if rollout.joint_names != [joint.name for joint in contract.joints]:
         raise UserError(f"rollout '{path}' lists other joints, or in another order, than the contract in '{folder}'.")

@@ -21,6 +21,7 @@ def drive(
     pace: Pace = REAL_TIME,
     keys: Callable[[], Iterable[str]] = lambda: (),
     beat: Callable[[], bool] = lambda: True,
+    alive: Callable[[], bool] = lambda: True,
     seconds: float = float("inf"),
     report: Callable[[], object] = lambda: None,
 ) -> None:
@@ -31,7 +32,9 @@ def drive(
         stop: Set from elsewhere, such as a signal handler, to end it.
         pace: The clock.
         keys: Returns the keys pressed since the last call.
-        beat: Called every control step; returns whether whoever guards this process is there.
+        beat: Called every control step once the motors have been commanded; returns whether whoever guards this process
+            is there.
+        alive: Called before, and returns the same: a guardian that has heard a beat damps the robot.
         seconds: Longest time, s.
         report: Called every control step after the work of it.
     """
@@ -56,7 +59,7 @@ def drive(
             if due - begun > seconds:
                 reason = f"{seconds:g} s are over"
                 break
-            if not beat():
+            if not (beat() if session.sending else alive()):
                 reason = "the guardian process has ended"
                 break
             for key in keys():

@@ -1,7 +1,7 @@
 """A second process that damps the robot when the first one dies or hangs: nobody else would tell the motors.
 
-The first process sends a byte every control step. When they stop without a farewell, the guardian ends the process,
-whose network thread might go on repeating its last command, and damps the robot itself.
+Once the first process has commanded the motors it sends a byte every control step. When these stop without a farewell,
+the guardian ends the process, whose network thread might go on repeating its last command, and damps the robot itself.
 """
 
 from __future__ import annotations
@@ -60,8 +60,12 @@ class Guardian:
             raise UserError("the guardian, a second process that damps the robot if this one dies, did not start.")
 
     def beat(self) -> bool:
-        """Says that all is well; returns whether the guardian is there to hear it."""
+        """Says that all is well; returns whether the guardian is there to hear it. From then on silence is a fault."""
         return self._send(BEAT)
+
+    def alive(self) -> bool:
+        """Returns whether the guardian is there, and tells it nothing."""
+        return self._process.poll() is None
 
     def dismiss(self) -> None:
         """Ends the guardian, whose ward has damped the robot itself."""
@@ -75,7 +79,7 @@ class Guardian:
             os.write(self._process.stdin.fileno(), byte)
         except OSError:
             return False
-        return self._process.poll() is None
+        return self.alive()
 
 
 def guard(folder: Path, interface: str, tag: str, ward: int, patience_s: float) -> None:

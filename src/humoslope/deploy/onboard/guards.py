@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
+from humoslope.deploy import rotation
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.onboard.messages import Command, Reading
 from humoslope.deploy.quantities import Array, Measured
@@ -46,8 +47,8 @@ class Limits(Checked):
 
 def tilt_deg(quat_w: Array) -> float:
     """Returns the angle between an IMU's z axis and the vertical, degrees."""
-    _, x, y, _ = quat_w / np.linalg.norm(quat_w)
-    return math.degrees(math.acos(min(1.0, max(-1.0, 1.0 - 2.0 * float(x * x + y * y)))))
+    upright = float(rotation.up_b(quat_w / np.linalg.norm(quat_w))[2])
+    return math.degrees(math.acos(min(1.0, max(-1.0, upright))))
 
 
 def unfit_to_start(reading: Reading, contract: Contract, limits: Limits, mode_machine: int) -> str | None:
@@ -105,13 +106,18 @@ def allowed(target: Array, before: Array, contract: Contract, limits: Limits) ->
         contract: The contract.
         limits: The limits.
     """
-    joints = contract.joints
     most = limits.slew_rad_s * contract.timing.control_step_s
-    low, high = np.array([joint.range_rad for joint in joints]).T
-    # A target this far beyond the stop pushes against it with the allowed share of the effort limit.
-    beyond = np.array([limits.stop_torque * j.effort_limit_nm / max(j.stiffness_nm_rad, 1e-9) for j in joints])
-    inside = np.clip(target, low - beyond, high + beyond)
+    inside = np.clip(target, *_ends(contract, limits))
     return np.clip(inside, before - most, before + most)
+
+
+def _ends(contract: Contract, limits: Limits) -> tuple[Array, Array]:
+    """Lowest and highest target [J] of each joint, rad: so far beyond its stop that a target pushes against it with the
+    allowed share of the effort limit."""
+    joints = contract.joints
+    low, high = np.array([joint.range_rad for joint in joints]).T
+    beyond = np.array([limits.stop_torque * j.effort_limit_nm / max(j.stiffness_nm_rad, 1e-9) for j in joints])
+    return low - beyond, high + beyond
 
 
 def unsendable(command: Command, contract: Contract, limits: Limits, damping: float) -> str | None:
@@ -134,9 +140,8 @@ def unsendable(command: Command, contract: Contract, limits: Limits, damping: fl
     kp, kd = (np.array([getattr(j, name) for j in joints]) for name in ("stiffness_nm_rad", "damping_nms_rad"))
     if not (np.array_equal(command.stiffness, kp) and np.array_equal(command.damping, kd)):
         return "a command has gains other than the contract's"
-    low, high = np.array([joint.range_rad for joint in joints]).T
-    beyond = np.array([limits.stop_torque * j.effort_limit_nm / max(j.stiffness_nm_rad, 1e-9) for j in joints])
-    if (command.target < low - beyond - 1e-6).any() or (command.target > high + beyond + 1e-6).any():
+    low, high = _ends(contract, limits)
+    if (command.target < low - 1e-6).any() or (command.target > high + 1e-6).any():
         return "a target lies too far beyond the range of its joint"
     return None
 

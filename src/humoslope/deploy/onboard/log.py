@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humoslope.deploy import contract as contracts
+from humoslope.deploy import rotation
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.onboard.kinematics import Kinematics
 from humoslope.deploy.onboard.session import Ticks
@@ -69,22 +70,9 @@ def to_rollout(folder: Path, contract: Contract, ticks: Ticks, label: str) -> tu
     feet = root[:, None] + soles
     walking = np.array([mode is Mode.WALK for mode in modes])
     ground = _Ground(feet[np.arange(rows), stance][walking if walking.any() else slice(None)])
-    yaw = np.arctan2(
-        2.0 * (quat[:, 0] * quat[:, 3] + quat[:, 1] * quat[:, 2]), 1.0 - 2.0 * (quat[:, 2] ** 2 + quat[:, 3] ** 2)
-    )
     rise = ground.rise(root[:, 0])
-    slope, bank = np.arctan(rise * np.cos(yaw)), np.arctan(-rise * np.sin(yaw))
     velocity: Array = np.asarray(np.gradient(root, dt, axis=0))
-    ahead = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
-    left = -velocity[:, 0] * np.sin(yaw) + velocity[:, 1] * np.cos(yaw)
-    along = np.stack(
-        [
-            ahead * np.cos(slope) + velocity[:, 2] * np.sin(slope),
-            left,
-            velocity[:, 2] * np.cos(slope) - ahead * np.sin(slope),
-        ],
-        axis=1,
-    )
+    along, slope, bank = _seen_ahead(rotation.yaw(quat), rise, velocity)
     normal = np.stack([-rise, np.zeros(rows), np.ones(rows)], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     anchor = feet[np.arange(rows), stance]
@@ -138,6 +126,23 @@ def to_rollout(folder: Path, contract: Contract, ticks: Ticks, label: str) -> tu
     return Rollout(header, columns, numbers(ground.grid), _events(modes, dt)), more
 
 
+def _seen_ahead(yaw: Array, rise: Array, velocity: Array) -> tuple[Array, Array, Array]:
+    """Returns velocities ahead along the ground, to the left and out of it, [T, 3]; the slope of the ground ahead and
+    its bank, positive where it rises to the left, [T] rad.
+
+    Args:
+        yaw: [T] headings, rad.
+        rise: [T] derivatives of the height along x of ground that is the same across.
+        velocity: [T, 3] velocities along x, y and z, m/s.
+    """
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    slope, bank = np.arctan(rise * cos), np.arctan(-rise * sin)
+    x, y, up = velocity.T
+    ahead, left = x * cos + y * sin, y * cos - x * sin
+    along = [ahead * np.cos(slope) + up * np.sin(slope), left, up * np.cos(slope) - ahead * np.sin(slope)]
+    return np.stack(along, axis=1), slope, bank
+
+
 class _Ground:
     """Ground that is the same across, through the places where feet stood, [K, 3]."""
 
@@ -169,8 +174,7 @@ class _Ground:
 
 def _facing_x(quat: Array) -> Array:
     """Turns orientations [T, 4] about the vertical so that the first one faces along x."""
-    w, x, y, z = quat[0]
-    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    yaw = float(rotation.yaw(quat[0]))
     back, turned = np.array([math.cos(-0.5 * yaw), 0.0, 0.0, math.sin(-0.5 * yaw)]), np.zeros_like(quat)
     for row in range(len(quat)):
         mujoco.mju_mulQuat(turned[row], back, quat[row] / np.linalg.norm(quat[row]))
@@ -198,22 +202,22 @@ class _Reckoning:
         Args:
             wrenches: [2, 6] of the ground on the feet.
         """
-        pos, rotation = self._kinematics.feet_poses()
+        pos, turned = self._kinematics.feet_poses()
         if self._before is not None:
-            old_pos, old_rotation, old_wrenches = self._before
+            old_pos, old_turned, old_wrenches = self._before
             steps, weights = [], []
             for foot in range(2):
                 load = min(wrenches[foot, 2], old_wrenches[foot, 2])
                 if load < LOADED_N:
                     continue
                 mean = 0.5 * (wrenches[foot] + old_wrenches[foot])
-                at = self._kinematics.pressed(mean, rotation[foot], foot)
-                steps.append(old_pos[foot] + old_rotation[foot] @ at - pos[foot] - rotation[foot] @ at)
+                at = self._kinematics.pressed(mean, turned[foot], foot)
+                steps.append(old_pos[foot] + old_turned[foot] @ at - pos[foot] - turned[foot] @ at)
                 weights.append(load)
             if steps:
                 self._step = np.average(steps, axis=0, weights=weights)
             self._root = self._root + self._step
-        self._before = pos, rotation, wrenches.copy()
+        self._before = pos, turned, wrenches.copy()
         return self._root
 
 

@@ -12,6 +12,8 @@ from humoslope.errors import UserError, unknown
 
 PRESSED_S = 0.2
 """Time for which a button is pressed, s."""
+ASKED_S = 1.0
+"""Time between two presses of start by a person who waits for the first command to the motors, s."""
 STICKS = ("forward", "left", "turn")
 GANTRY = ("lower", "release")
 
@@ -21,7 +23,7 @@ class Person:
 
     Args:
         script: Actions such as "1:start 5:lower 8:forward=0.6", each with its time in s.
-        waits: Count the time from the first command to the motors, not from the start.
+        waits: Press start again and again until the motors are first commanded, and count the time from there.
 
     Raises:
         UserError: If the script cannot be read.
@@ -30,6 +32,7 @@ class Person:
     def __init__(self, script: str, waits: bool = False) -> None:
         self._actions = sorted((_action(part) for part in script.split()), key=lambda action: action[0])
         self._begun: float | None = None if waits else 0.0
+        self._asked = -ASKED_S
         self._pressed: list[tuple[float, str]] = []  # until when, and what
 
     def act(self, robot: SimulatedRobot) -> None:
@@ -37,6 +40,10 @@ class Person:
         remote = robot.remote
         if self._begun is None and robot.commands:
             self._begun = robot.time
+            self._pressed.clear()
+        elif self._begun is None and robot.time >= self._asked + ASKED_S:
+            self._asked = robot.time
+            self._pressed.append((robot.time + PRESSED_S, "start"))
         now = -1.0 if self._begun is None else robot.time - self._begun
         while self._actions and now >= self._actions[0][0]:
             _, what, value = self._actions.pop(0)

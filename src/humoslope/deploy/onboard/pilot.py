@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from humoslope.deploy import rotation
 from humoslope.deploy.contract import Commands, Range, Steering
 from humoslope.deploy.onboard.messages import Remote
 from humoslope.deploy.onboard.states import Request
@@ -18,7 +19,7 @@ DEAD = 0.05
 BUTTON_REQUESTS = {"start": Request.START, "A": Request.WALK, "select": Request.STOP}
 """Requests by single buttons; L2 with B asks to stop, too."""
 KEY_REQUESTS = {"s": Request.START, "w": Request.WALK, " ": Request.STOP, "q": Request.STOP}
-KEYS = "s: move to the default pose; w: walk; up, down: speed; left, right: turn; 0: stand; space or q: stop"
+KEYS = "s: start; w: walk; up, down: speed; left, right: turn; 0: stand; space or q: stop"
 
 
 class Pilot:
@@ -90,8 +91,7 @@ class Heading:
     def __call__(self, command: Array, quat_w: Array) -> Array:
         """Returns the command [3] with the yaw rate that leads back to the kept heading; a command to stand or to turn
         is left alone, and ends with a new heading."""
-        w, x, y, z = quat_w
-        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        yaw = float(rotation.yaw(quat_w))
         if command[2] or not command.any():
             self._kept = None
             return command

@@ -1,6 +1,6 @@
 """The states of a robot on its way from hanging limp to walking, and back to damped: a pure state machine.
 
-    wait -> zero torque -> move -> hold -> walk
+    wait -> zero torque -> move -> hold -> walk      (start, start, time, walk)
               (from each of them, on a request to stop or on a fault) -> damping
 
 Nothing leads out of damping: whoever wants to walk again starts the program again, beside the robot.
@@ -113,7 +113,7 @@ def _following(state: State, seen: Seen) -> Mode | None:
     """The next mode on the way to walking, if it is time for it."""
     ready = seen.pose is not None and seen.hindrance is None and seen.fault is None
     steps = {
-        Mode.WAIT: (Mode.ZERO_TORQUE, ready),
+        Mode.WAIT: (Mode.ZERO_TORQUE, ready and Request.START in seen.requests),
         Mode.ZERO_TORQUE: (Mode.MOVE, ready and Request.START in seen.requests),
         Mode.MOVE: (Mode.HOLD, seen.now - state.since >= MOVE_S),
         Mode.HOLD: (Mode.WALK, Request.WALK in seen.requests),
