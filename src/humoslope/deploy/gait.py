@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 from humoslope.deploy.quantities import Array
 from humoslope.statistics import mean
 
+FOOT_DOWN_N = 5.0
+"""A foot is down while the ground carries it with at least this force, N."""
+SWING_S = 0.06
+"""A foot that was not down for a shorter time, s, has not stepped: contacts of a standing foot flicker."""
+STEP = f"step: a foot comes down after {SWING_S:g} s and more with less than {FOOT_DOWN_N:g} N"
+"""What counts as a step, wherever steps are counted."""
 FAST_HZ = 10.0
 """Frequency above which joint targets count as fast: several times that of any step."""
 MOVES_RAD = 0.01

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from humoslope.deploy.conditions import NOMINAL, Conditions
 from humoslope.deploy.contract import Contract, Steering
 from humoslope.deploy.controller import Controller, OnnxPolicy
-from humoslope.deploy.gait import Gait, GaitRecorder, mean_gait
+from humoslope.deploy.gait import SWING_S, Gait, GaitRecorder, mean_gait
 from humoslope.deploy.quantities import Array
 from humoslope.deploy.world import World
 from humoslope.errors import UserError
@@ -36,8 +36,6 @@ FASTEST = 10.0
 Slope = Annotated[float, Range(-STEEPEST, STEEPEST)]
 """An inclination, degrees."""
 Speed = Annotated[float, Range(-FASTEST, FASTEST)]
-SWING_S = 0.06
-"""A foot that was off the ground for a shorter time, s, has not stepped: contacts of a standing foot flicker."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from humoslope.deploy import rotation
 from humoslope.deploy.conditions import NOMINAL, Conditions
 from humoslope.deploy.contract import Contract
 from humoslope.deploy.controller import read_hashed
+from humoslope.deploy.gait import FOOT_DOWN_N
 from humoslope.deploy.quantities import Array, Measured
 from humoslope.errors import UserError, unknown
 
@@ -25,8 +26,6 @@ RUN_UP = 0.75
 BEHIND, HALF_WIDTH, HALF_THICKNESS = 20.0, 20.0, 0.5
 """Length of level ground behind the start, and half extents of the slabs that make up a ramp, m."""
 GROUND = "ground"
-FOOT_DOWN_N = 5.0
-"""A foot is down while the ground carries it with at least this normal force, N."""
 TOUCH_N = 1.0
 """Two parts of the robot touch while they press on each other with at least this normal force, N; as in training."""
 CLEARANCE = 0.01

@@ -8,12 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from humoslope.deploy.gait import SWING_S
 from humoslope.evaluation.common import to_host
 from humoslope.evaluation.track.arrays import map_arrays
 from humoslope.statistics import Array, Bools, mean
-
-TOUCHDOWN_AIR_S = 0.1
-"""Time that a foot must have been in the air for its landing to count as a step, s; longer than any contact chatter."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,7 @@ class Trials:
         height: [N] mean height of the root above the ground, m.
         creep: [N, 2] mean |velocity| along the ground, forward and to the left, m/s.
         drift: [N, 2] horizontal displacement between settling and the last place, along and across the tile, m.
-        touchdowns: [N] landings of a foot, per second.
+        touchdowns: [N] steps per second; see `humoslope.deploy.gait.STEP`.
         self_contact: [N] share of the time in which two parts of the robot press on each other.
     """
 
@@ -117,7 +115,7 @@ class Recorder:
             velocity: [N, 2] along the ground, forward and to the left, m/s.
             yaw_rate: [N] of the root about the vertical, rad/s.
             height: [N] root above the ground, m.
-            contact: [N, 2] bool; feet that touch the ground.
+            contact: [N, 2] bool; feet that are down, see `humoslope.deploy.gait.FOOT_DOWN_N`.
             self_contact: [N] bool; two parts of the robot press on each other.
             failed: [N] bool; the episode ended in failure.
             ended: [N] bool; it ended otherwise.
@@ -129,7 +127,7 @@ class Recorder:
         self._running = self._running & ~failed & ~ended
         running = self._running[:, None]
         self._end = torch.where(running, place, self._end)
-        landed = contact & (self._air * self._dt >= TOUCHDOWN_AIR_S - 0.5 * self._dt)
+        landed = contact & (self._air * self._dt >= SWING_S - 0.5 * self._dt)
         self._air = (self._air + 1.0).masked_fill(contact, 0.0)
         if self._step <= self._settle:
             self._settled = self._end

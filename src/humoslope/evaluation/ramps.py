@@ -21,6 +21,7 @@ from rich.table import Table
 from tensordict import TensorDict
 from torch import Tensor
 
+from humoslope.deploy.gait import FOOT_DOWN_N, STEP
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.common import measuring_physics, policy_observations, rollout
@@ -171,7 +172,7 @@ class Standing:
         creep_along, creep_across: |velocity| along the ground, forward and to the left, mean of the trials' means, m/s.
             A robot that sways on the spot has some of it too.
         drift: Distance on the ground between the places at 2 s and at the end, averaged over trials, m.
-        touchdowns_per_s: Steps, i.e. landings of a foot after `TOUCHDOWN_AIR_S` in the air, averaged over trials, 1/s.
+        touchdowns_per_s: Steps as `humoslope.deploy.gait.STEP` says, averaged over trials, 1/s.
     """
 
     creep_along: float | None
@@ -340,7 +341,7 @@ def run_trials(
             velocity=signals.root_lin_vel_t[:, :2],
             yaw_rate=-(signals.projected_gravity_b * signals.root_ang_vel_b).sum(dim=1),
             height=signals.root_height,
-            contact=signals.foot_contact,
+            contact=signals.foot_force >= FOOT_DOWN_N,
             self_contact=signals.self_force > CONTACT_FORCE,
             failed=failed,
             ended=ended,
@@ -417,8 +418,9 @@ def table(results: Sequence[RampResult]) -> Table:
     """Figures as a table, from the steepest descent to the steepest ascent."""
     # Without padding a row fits into a terminal of 80 columns; a cut number is worse than a tight one.
     table = Table(title="Ramps", box=SIMPLE_HEAD, padding=0, pad_edge=False)
-    table.caption = "averages: from 2 s on, while the robot is up; self: share of that time in contact with itself"
+    caption = "averages: from 2 s on, while the robot is up; self: share of that time in contact with itself"
     columns = _columns(results)
+    table.caption = f"{caption}; {STEP}" if columns is STANDING else caption
     for column in (*FALLS, *columns):
         table.add_column(column, justify="right", no_wrap=True)
     for r in sorted(results, key=lambda r: r.grade):

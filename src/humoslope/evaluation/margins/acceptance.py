@@ -14,6 +14,7 @@ from rich.table import Table
 
 from humoslope.deploy import contract as contracts
 from humoslope.deploy.contract import Contract
+from humoslope.deploy.gait import STEP
 from humoslope.deploy.player import Player, Trial
 from humoslope.evaluation.margins.demands import Case, Demand, Name, demands
 from humoslope.evaluation.margins.trials import Job, Key, TrialRunner, TrialStore, fingerprint
@@ -168,7 +169,7 @@ def table(report: dict[str, Any]) -> Table:
         box=SIMPLE_HEAD,
         collapse_padding=True,
         pad_edge=False,
-        caption=f"{report['trials']} trials of each case",
+        caption=f"{report['trials']} trials of each case; {STEP}",
     )
     for column in ("demand", "wanted", "worst", "where", "cases met"):
         result.add_column(column, justify="right" if column in ("worst", "cases met") else "left", overflow="fold")
