@@ -556,7 +556,11 @@ def test_a_term_that_is_not_finite_in_a_diverged_env_alone_is_no_fault(
 
 
 def test_a_look_may_be_taken_in_inference_mode_and_outside(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
-    env = make_stage1(2, few_tiles)
+    def change(cfg: EnvCfg) -> None:
+        few_tiles(cfg)
+        cfg.episode_length_s = 0.04  # two steps, so that episodes end in it
+
+    env = make_stage1(2, change)
     with torch.inference_mode():
         env.step(noise(env, 0))
         assert env.non_finite() == []

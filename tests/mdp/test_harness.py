@@ -329,8 +329,9 @@ def test_rewards_grow_as_the_harness_is_withdrawn_or_with_the_strictness(bare, p
     env = bare(2, rewards=SimpleNamespace(set_strength=lambda name, share: seen.update({name: share.item()})))
     harness = Harness(env, scale=0.25)
     env.events, harness.strictness = {"harness": harness}, torch.tensor(0.3)
-    env.cfg.rewards = Terms(landings=object(), other=object())
-    term = StrengthenRewards(env, rewards=("landings",), **params)
+    on, off = SimpleNamespace(weight=-0.2), SimpleNamespace(weight=0.0)
+    env.cfg.rewards = Terms(landings=on, other=on, switched_off=off)
+    term = StrengthenRewards(env, rewards=("landings", "switched_off"), **params)
     assert term.step(env).item() == pytest.approx(share)
     assert seen == pytest.approx({"landings": share})
     harness.scale, harness.strictness = torch.tensor(0.0), torch.tensor(1.0)
@@ -340,7 +341,10 @@ def test_rewards_grow_as_the_harness_is_withdrawn_or_with_the_strictness(bare, p
 
 def test_a_strict_reward_that_does_not_exist_and_an_event_that_is_no_harness_are_refused(bare):
     env = bare(2)
-    env.events, env.cfg.rewards = {"harness": Harness(env), "push": object()}, Terms(landings=object())
+    env.events, env.cfg.rewards = (
+        {"harness": Harness(env), "push": object()},
+        Terms(landings=SimpleNamespace(weight=1.0)),
+    )
     with pytest.raises(UserError, match=r"reward 'landing' does not exist; did you mean 'landings'\?"):
         StrengthenRewards(env, rewards=("landing",))
     with pytest.raises(UserError, match="event 'push' is not a Harness"):

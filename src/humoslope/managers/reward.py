@@ -75,7 +75,7 @@ class RewardManager:
         self._watched.add(values, self._env.finite.step)
         self.last = values
         self._sums = torch.add(self._sums, values, alpha=dt)
-        self._seconds += dt
+        self._seconds = self._seconds + dt
         return values.sum(dim=1) * dt
 
     def set_strength(self, name: str, share: Tensor) -> None:

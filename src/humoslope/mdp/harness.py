@@ -243,7 +243,8 @@ class StrengthenRewards(CurriculumTerm):
                 raise unknown("reward", name, env.cfg.rewards)
         if by not in PROGRESS:
             raise unknown("progress of the harness", by, PROGRESS)
-        self._harness, self._rewards, self._by = _harness(env, event), rewards, by
+        self._rewards = tuple(name for name in rewards if env.cfg.rewards[name].weight)  # others are switched off
+        self._harness, self._by = _harness(env, event), by
 
     def step(self, env: Env) -> Tensor:
         """Sets the strengths; returns it."""
