@@ -104,14 +104,6 @@ def test_errors_to_either_side_do_not_make_up_for_each_other() -> None:
     assert figure("turning", 0, *turning) == pytest.approx(0.6)
 
 
-@pytest.mark.parametrize("name", ["speed", "imu-speed"])
-def test_speeds_are_told_of_the_trial_furthest_from_what_was_asked(name: Name) -> None:
-    slow_and_fast = [replace(GOOD, speed=speed) for speed in (0.5, 0.35, 0.64, math.nan)]
-    assert figure(name, 0, *slow_and_fast) == 0.35
-    assert not ALL[name].met(figure(name, 0, *slow_and_fast))
-    assert figure(name, 0, GOOD, replace(GOOD, speed=0.56)) == 0.56
-
-
 def test_an_imu_is_tilted_by_the_same_angle_about_another_axis_in_each_trial() -> None:
     case = ALL["imu-falls"].cases[0]
     tilts = [case.trial(i).conditions.imu_tilt_rad for i in range(3)]
