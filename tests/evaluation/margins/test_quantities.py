@@ -1,4 +1,4 @@
-"""Grids begin at the nominal setup, or on ground without its slope, and change one thing only; success is what it is said to be."""
+"""Grids begin at the nominal setup, or at level ground, and change one thing only; success is what it is said to be."""
 
 from __future__ import annotations
 
