@@ -104,7 +104,7 @@ campaign: $(STAMP) ## Run the trainings and evaluations of FILE, go on with them
 
 reproduce: $(STAMP) ## Train and measure everything anew, some thirteen hours on two cores; experiments/reproduce.toml states it
 	$(BIN)/humoslope campaign experiments/reproduce.toml $(ARGS)
-ifeq ($(filter --%,$(ARGS)),)
+ifeq ($(filter --dry-run --pack% --out%,$(ARGS)),)
 	$(BIN)/humoslope table 1 logs/reproduce --out logs/reproduce/tables/table1
 	$(BIN)/humoslope table 2 logs/reproduce --out logs/reproduce/tables/table2
 	$(BIN)/humoslope figures logs/reproduce --out logs/reproduce/figures
@@ -112,7 +112,7 @@ endif
 
 recipe: $(STAMP) ## Compare changes to the CPU recipe in short trainings, some ninety minutes on one core
 	$(BIN)/humoslope campaign experiments/recipe.toml $(ARGS)
-ifeq ($(filter --%,$(ARGS)),)
+ifeq ($(filter --dry-run --pack% --out%,$(ARGS)),)
 	$(BIN)/humoslope compare logs/recipe --out experiments/results/recipe.md
 endif
 

@@ -102,6 +102,16 @@ def test_a_folder_of_a_killed_process_is_removed_when_the_next_one_is_made(tmp_p
     assert list(tmp_path.iterdir()) == []
 
 
+def test_folders_of_others_beside_temporary_ones_stay(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    theirs = {tmp_path / name for name in ("humoslope-main", "humoslope-abcd1234", f"{FOLDER_PREFIX}of-the-user")}
+    for folder in theirs:
+        folder.mkdir()
+    with temporary_folder() as folder:
+        assert set(tmp_path.iterdir()) == theirs | {folder}
+    assert set(tmp_path.iterdir()) == theirs
+
+
 @pytest.mark.parametrize("before", [None, b"good"], ids=["new", "replaced"])
 def test_a_full_disk_is_said_and_the_file_that_was_there_is_whole(tmp_path: Path, before: bytes | None) -> None:
     path = tmp_path / "deep" / "walk.npz"

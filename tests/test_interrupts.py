@@ -41,14 +41,22 @@ def test_a_signal_is_recorded_and_raises_nothing(number: signal.Signals) -> None
     assert calls == ["first"]
 
 
-@pytest.mark.parametrize("second", SIGNALS)
-def test_a_second_signal_raises_where_it_is_asked_for(second: signal.Signals) -> None:
+@pytest.mark.parametrize("first", SIGNALS)
+def test_a_second_ctrl_c_raises_where_it_is_asked_for(first: signal.Signals) -> None:
     with deferred_interrupts(second_raises=True) as interrupt:
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(first)
         assert interrupt.requested
         with pytest.raises(Terminated) as stop:
-            signal.raise_signal(second)
-        assert stop.value.exit_code == 128 + second
+            signal.raise_signal(signal.SIGINT)
+        assert stop.value.exit_code == 128 + signal.SIGINT
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_one_stop_that_arrives_as_two_signals_is_one_stop(number: signal.Signals) -> None:
+    with deferred_interrupts(second_raises=True) as interrupt:
+        signal.raise_signal(number)
+        signal.raise_signal(number)
+        assert interrupt.number == number
 
 
 def test_a_signal_that_is_ignored_as_under_nohup_stays_ignored() -> None:

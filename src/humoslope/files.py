@@ -15,8 +15,9 @@ from humoslope.errors import UserError
 
 TEMPORARY = re.compile(r"\.(?P<name>.+)\.[a-z0-9_]{8}(?P<suffix>(\.[^.]*)?)")
 """Names of temporary files: that of the file, random characters, and its ending again, which libraries go by."""
-FOLDER_PREFIX = "humoslope-"
+FOLDER_PREFIX = ".humoslope-tmp-"
 """How the names of temporary folders begin."""
+TEMPORARY_FOLDER = re.compile(re.escape(FOLDER_PREFIX) + r"[a-z0-9_]{8}")
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
@@ -77,16 +78,28 @@ def remove_leftovers(folder: Path, name: str = "") -> None:
 def temporary_folder() -> Iterator[Path]:
     """A folder that is removed at the end, or at the next call of this function if the process was killed."""
     for left in Path(tempfile.gettempdir()).glob(f"{FOLDER_PREFIX}*"):
-        if left.is_dir() and _is_free(left):
+        if TEMPORARY_FOLDER.fullmatch(left.name) and left.is_dir() and _is_free(left):
             shutil.rmtree(left, ignore_errors=True)
-    folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX))
-    handle = os.open(folder, os.O_RDONLY)
-    fcntl.flock(handle, fcntl.LOCK_EX)
+    folder, handle = _locked_folder()
     try:
         yield folder
     finally:
         os.close(handle)
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _locked_folder() -> tuple[Path, int]:
+    """A new temporary folder, and the handle that holds its lock."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX))
+        try:
+            handle = os.open(folder, os.O_RDONLY)
+        except FileNotFoundError:
+            continue  # another process took it for a leftover before it was locked
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        if folder.exists():
+            return folder, handle
+        os.close(handle)
 
 
 def check_place(path: Path) -> None:

@@ -76,7 +76,9 @@ def deferred_interrupts(
 
     Args:
         on_first: Called at the first signal, for example to print when the work will stop.
-        second_raises: Raise `Terminated` at the second signal; for work whose steps are long.
+        second_raises: Raise `Terminated` at a second signal, if that is Ctrl-C; for work whose steps are long. Others
+            may come twice without anyone's asking twice, as when a service stops all of its processes and one of them
+            passes it on, or when a terminal is closed.
     """
     interrupt = Interrupt()
 
@@ -84,7 +86,7 @@ def deferred_interrupts(
         if not interrupt.requested:
             interrupt.number = number
             on_first()
-        elif second_raises:
+        elif second_raises and number == signal.SIGINT:
             raise Terminated(number)
 
     with handled(handle):

@@ -69,6 +69,17 @@ def test_a_training_that_left_no_checkpoint_begins_anew(tmp_path: Path, humoslop
     assert set(finish(tmp_path, humoslope).states.values()) == {"done"}
 
 
+@pytest.mark.parametrize("name", ["ramps.json", "notes.md", "stage1.swing.json"])
+def test_results_without_a_checkpoint_are_not_removed(tmp_path: Path, humoslope: Humoslope, name: str) -> None:
+    job = plan(tmp_path).jobs["stage1/seed1 training"]
+    leave_run(job.folder, ["train", *job.words])
+    (job.folder / name).write_text("precious")
+    run = finish(tmp_path, humoslope)
+    assert "holds no checkpoint, but other files; move them" in run.reasons[job.name]
+    assert {name for name, state in run.states.items() if state == "failed"} == {job.name}
+    assert (job.folder / name).read_text() == "precious"
+
+
 def test_a_run_folder_that_is_in_use_is_not_removed(tmp_path: Path) -> None:
     job = plan(tmp_path).jobs["stage1/seed1 training"]
     job.folder.mkdir(parents=True)

@@ -86,10 +86,11 @@ def test_two_processes_log_once_save_once_stop_together_and_resume(task, tiny, t
     assert not list(tmp_path.glob("model_*.pt"))
 
 
-def test_every_rank_resumes_with_random_numbers_of_its_own(on_shared_env, finished):
+def test_every_rank_resumes_with_random_numbers_of_its_own(on_shared_env, finished, monkeypatch):
     drawn = []
     for rank in range(3):
-        trainer = on_shared_env(processes=Processes(rank, rank, 3), seed_offset=rank)
+        trainer = on_shared_env(processes=Processes(rank, rank, 3))
+        monkeypatch.setattr(trainer.env.cfg, "seed", trainer.cfg.env.seed + rank)  # as that of a rank's envs is
         for number in (1, 2):
             trainer.resume(finished / f"model_{number}.pt")
             drawn.append(tuple(torch.rand(4).tolist()))

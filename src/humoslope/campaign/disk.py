@@ -157,6 +157,10 @@ def _change(job: Job) -> str:
     return ""
 
 
+LEFT_BY_A_START = ("starts", "console.log", "events.out.*", "videos", "diverged", "episodes_*.pt")
+"""What a training leaves in its folder before its first checkpoint."""
+
+
 def _is_same(origin: Any, parent: Path | None) -> bool:
     """True if a recorded parent is this one, wherever the campaign's folder lay then."""
     if origin is None or parent is None:
@@ -166,9 +170,16 @@ def _is_same(origin: Any, parent: Path | None) -> bool:
 
 
 def clear_abandoned(folder: Path) -> None:
-    """Removes a run folder in which a training was stopped before its first checkpoint: nothing goes on from it."""
-    if folder.is_dir() and not newest(folder) and not in_use(folder):
-        shutil.rmtree(folder)
+    """Removes a run folder in which a training was stopped before its first checkpoint: nothing goes on from it.
+
+    Raises:
+        UserError: If something else lies there, such as results of a training whose checkpoints were removed.
+    """
+    if not folder.is_dir() or newest(folder) or in_use(folder):
+        return
+    if not all(any(path.match(pattern) for pattern in LEFT_BY_A_START) for path in folder.iterdir()):
+        raise UserError(f"'{folder}' holds no checkpoint, but other files; move them, or choose another folder.")
+    shutil.rmtree(folder)
 
 
 def in_use(folder: Path) -> bool:

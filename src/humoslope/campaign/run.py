@@ -16,6 +16,7 @@ from typing import IO, Literal, Protocol
 from humoslope.campaign import disk
 from humoslope.campaign.plan import TRAIN, Job, Plan
 from humoslope.cpu import SHARE
+from humoslope.errors import UserError
 from humoslope.interrupts import deferred_interrupts
 
 State = Literal["waiting", "running", "done", "failed", "barred"]
@@ -142,8 +143,12 @@ def run(
                     show("Stopping; running jobs save their state. Once more stops at once, without saving.")
                 if not interrupt.requested:
                     for job in run.ready()[: jobs - len(running)]:
-                        running[job.name] = _begun(run, job, threads, start, clock)
-                        show(f"begins: {job.name}")
+                        try:
+                            running[job.name] = _begun(run, job, threads, start, clock)
+                            show(f"begins: {job.name}")
+                        except UserError as error:  # other jobs go on
+                            run.fail(job, str(error))
+                            show(f"failed: {job.name}: {error}")
                 if not running:
                     return interrupt.number if interrupt.requested else 0
                 show("")

@@ -244,7 +244,7 @@ class Trainer:
         if self._processes.is_first:
             restore_rng(state["rng"], self.env.device)
         else:
-            seed_everything((self.cfg.env.seed + RANK_SEED_STRIDE * self.iteration) % 2**32)
+            seed_everything((self.env.cfg.seed + RANK_SEED_STRIDE * self.iteration) % 2**32)
         why_not = self._resume_episodes(path, state)
         self._goes_on = not why_not
         if self._goes_on:
@@ -356,7 +356,8 @@ class Trainer:
         (failed,) = any_process((bool(found),), self.env.device)
         if not failed:
             return
-        self._keep_last_good()
+        with suppress(UserError):  # what could not be saved must not hide what happened
+            self._keep_last_good()
         raise self._diverged("; ".join(found) or "another process met a value that is not finite", self.iteration + 1)
 
     def _require_finite_losses(self, losses: dict[str, float]) -> None:
