@@ -28,7 +28,7 @@ SIGNED = {
     *("root_height.target", "foot_clearance.target", "root_too_low.height"),  # world heights of the literal baseline
 }
 """Where a negative value has a meaning."""
-NAMES = {"joints", "hip", "knee", "ankle", "knees", "hips", "body", "cue", "event", "harness", "plane"}
+NAMES = {"joints", "by", "hip", "knee", "ankle", "knees", "hips", "body", "cue", "event", "harness", "plane"}
 
 
 def terms_of(task):
