@@ -298,6 +298,16 @@ def test_the_way_along_x_earns_nothing_on_a_hillside_and_all_on_a_tile_walked_al
     assert end(env, term, EVERYWHERE) == [3, 3, 3, 2, 2, 2]
 
 
+def test_a_late_fall_costs_a_level_on_a_tile_walked_along_x_and_none_on_a_hillside(make_ground):
+    env = make_ground(frozenset({1}))
+    term = TerrainLevels(env)
+    begin(env, 2)
+    env.steps_since_reset = torch.full((N,), 500)
+    env.terminations.terminated = EVERYWHERE
+    walk(env, term, 0.3 * REACH, commanded=9.0, walked=0.4 * 9.0)
+    assert end(env, term, EVERYWHERE) == [1, 1, 1, 2, 2, 2]
+
+
 @pytest.mark.parametrize(
     ("seconds", "fallen", "level"), [(4.9, False, 2), (5.1, False, 3), (4.9, True, 1), (5.1, True, 2)]
 )
