@@ -73,7 +73,7 @@ def shared_env(tiny_cfg: Callable[..., TaskCfg]) -> ManagerBasedRlEnv:
 def on_shared_env(tiny_cfg: Callable[..., TaskCfg], shared_env: ManagerBasedRlEnv) -> Callable[..., Trainer]:
     """on_shared_env("--agent.gamma", "0.5"): a new trainer, but on an environment that others may have stepped before.
 
-    Options are those of the agent; `seed_offset` is added to the seed as it is for the processes of a training.
+    Options are those of the agent; `seed_offset` is added to the seed, for other random weights.
     """
 
     def make(*options: str, processes: Processes | None = None, seed_offset: int = 0) -> Trainer:

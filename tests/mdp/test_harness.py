@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
-from humoslope.managers import Terms
+from humoslope.managers import TermCfg, Terms
+from humoslope.managers.terms import bind
 from humoslope.mdp.harness import Harness, HarnessCurriculum, StrengthenRewards, VaryCommands
 
 WEIGHT = 33.0 * 9.81
@@ -349,8 +350,9 @@ def test_a_strict_reward_that_does_not_exist_and_an_event_that_is_no_harness_are
         StrengthenRewards(env, rewards=("landing",))
     with pytest.raises(UserError, match="event 'push' is not a Harness"):
         StrengthenRewards(env, rewards=("landings",), event="push")
-    with pytest.raises(UserError, match="progress of the harness 'strict' does not exist"):
-        StrengthenRewards(env, rewards=("landings",), by="strict")
+    term = TermCfg(StrengthenRewards, {"rewards": ("landings",), "by": "strict"})
+    with pytest.raises(UserError, match="by is 'strict'; it must be 'withdrawn' or 'strictness'"):
+        bind("curriculum", "strict_rewards", term, env)
 
 
 def test_commands_vary_as_the_harness_is_withdrawn(bare):

@@ -29,6 +29,8 @@ from humoslope.learning.run_folder import saved_options, start_of
 from humoslope.seal import read_json
 from humoslope.words import option_groups
 
+LEFT_BY_A_START = ("starts", "console.log", "events.out.*", "videos", "diverged", "episodes_*.pt")
+"""What a training leaves in its folder before its first checkpoint."""
 MODEL = re.compile(r"model_(\d+)\.pt")
 RECENT = 20
 """Iterations over which the speed of a training is averaged."""
@@ -157,10 +159,6 @@ def _change(job: Job) -> str:
     return ""
 
 
-LEFT_BY_A_START = ("starts", "console.log", "events.out.*", "videos", "diverged", "episodes_*.pt")
-"""What a training leaves in its folder before its first checkpoint."""
-
-
 def _is_same(origin: Any, parent: Path | None) -> bool:
     """True if a recorded parent is this one, wherever the campaign's folder lay then."""
     if origin is None or parent is None:
@@ -178,7 +176,7 @@ def clear_abandoned(folder: Path) -> None:
     if not folder.is_dir() or newest(folder) or in_use(folder):
         return
     if not all(any(path.match(pattern) for pattern in LEFT_BY_A_START) for path in folder.iterdir()):
-        raise UserError(f"'{folder}' holds no checkpoint, but other files; move them, or choose another folder.")
+        raise UserError(f"'{folder}' holds no checkpoint, but other files; move them, or choose another --out.")
     shutil.rmtree(folder)
 
 

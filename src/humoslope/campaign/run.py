@@ -124,7 +124,7 @@ def run(
 
     Returns:
         0 if every job is done or has failed, else the signal that ended it early. The first signal is passed on to the
-        jobs, which save; the second one ends them at once.
+        jobs, which save; a second one that is Ctrl-C ends them at once.
     """
     running: dict[str, _Running] = {}
     forwarded = False
@@ -140,7 +140,7 @@ def run(
                     for child in running.values():
                         with suppress(ProcessLookupError):
                             child.process.send_signal(interrupt.number)
-                    show("Stopping; running jobs save their state. Once more stops at once, without saving.")
+                    show("Stopping; running jobs save their state. Ctrl-C once more stops at once, without saving.")
                 if not interrupt.requested:
                     for job in run.ready()[: jobs - len(running)]:
                         try:

@@ -466,7 +466,7 @@ class Trainer:
         self._console.print(f"[yellow]An env diverged and was reset; its last states are in {path}.[/yellow]")
 
     def _say_stop(self) -> None:
-        self._console.print("Stopping after this iteration; once more stops at once, without saving.")
+        self._console.print("Stopping after this iteration; Ctrl-C once more stops at once, without saving.")
 
 
 @contextmanager

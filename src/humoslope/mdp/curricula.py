@@ -23,11 +23,11 @@ class TerrainLevels(CurriculumTerm):
     On a tile that is walked along x, up: `up` of the way from the start of the episode to the end of the tile was
     covered; down: otherwise, after a fall. On a tile that is walked in any direction, where no such way exists, up: the
     robot walked `up` of what was commanded, for `least_s` or longer, and did not fall; down: after a fall within
-    `least_s`. Who stands or turns in place as commanded, and does not fall, has done all that was asked. On both, down
-    too: the robot walked less than `down` of the distance that was commanded. The commanded distance, and what was
-    walked of it, are summed over the episode: the commanded speed along the ground in whatever direction, and the
-    root's speed in that direction. From the hardest level an env moves to a random one, so that the easy ones are not
-    forgotten.
+    `least_s`. A robot that stands or turns in place as commanded, and does not fall, has done all that was asked. On
+    both, down too: the robot walked less than `down` of the distance that was commanded. The commanded distance, and
+    what was walked of it, are summed over the episode: the commanded speed along the ground in whatever direction, and
+    the root's speed in that direction. From the hardest level an env moves to a random one, so that the easy ones are
+    not forgotten.
 
     Args:
         up: Share of the way to the end of the tile, or of the commanded distance on a tile walked in any direction.

@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
 
 
-PROGRESS = ("withdrawn", "strictness")
-"""Attributes of `Harness` that say how far the training has come, one after the other from 0 to 1."""
-
-
 class Harness(StatefulTerm):
     """Step event: an upward force on the root and an uprighting torque on the torso, scaled by `scale` in [0, 1].
 
@@ -241,8 +237,6 @@ class StrengthenRewards(CurriculumTerm):
         for name in rewards:
             if name not in env.cfg.rewards:
                 raise unknown("reward", name, env.cfg.rewards)
-        if by not in PROGRESS:
-            raise unknown("progress of the harness", by, PROGRESS)
         self._rewards = tuple(name for name in rewards if env.cfg.rewards[name].weight)  # others are switched off
         self._harness, self._by = _harness(env, event), by
 
@@ -258,9 +252,10 @@ class VaryCommands(CurriculumTerm):
     """Curriculum: robots are asked to stand, to turn and to walk in other directions as the harness is withdrawn.
 
     To stand is a skill of its own, learnt while something still holds the robot: one that walks unaided marches on,
-    because on the way from marching to standing it falls. But who has not learnt to step yet learns from such commands
-    that standing still is worth something. And who only knows how to walk forward earns next to nothing for a command
-    to walk backward, whatever it does about it; commands that move away from forward little by little are followed.
+    because on the way from marching to standing it falls. But a robot that has not learnt to step yet learns from such
+    commands that standing still is worth something. And one that only knows how to walk forward earns next to nothing
+    for a command to walk backward, whatever it does about it; commands that move away from forward little by little are
+    followed.
 
     Args:
         event: Name of the `Harness` event.

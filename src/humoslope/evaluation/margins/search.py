@@ -89,10 +89,10 @@ class Search:
     """Bisection over the indices 0 to `size` - 1 of a grid. The first one is tested before all others.
 
     The limit is a value that holds, as do all tested values before it and `GUARDS` neighbours just before it; the next
-    value of the grid fails, or does not exist. There is none if the first value fails. If a guard
-    fails, a lucky outcome has misled the bisection, which starts over below the guard. The value after the first
-    failing one is tested too: if it holds, the outcomes are not monotone, which is reported, and the limit stays where
-    it is, on the safe side.
+    value of the grid fails, or does not exist. There is none if the first value fails. If a guard fails, a lucky
+    outcome has misled the bisection, which starts over below the guard. The value after the first failing one is tested
+    too: if it holds, the outcomes are not monotone, which is reported, and the limit stays where it is, on the safe
+    side.
 
     Attributes:
         size: Number of values.

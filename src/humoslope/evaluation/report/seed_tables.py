@@ -13,6 +13,7 @@ from humoslope.evaluation.report.seeds import ENOUGH_FOR_IQM, Estimate, Scores, 
 from humoslope.evaluation.report.table import Column, Row, Sheet, Value
 from humoslope.evaluation.report.tables import (
     ABLATION,
+    BEYOND,
     GRADES,
     LATER,
     LIMIT_NOTE,
@@ -217,7 +218,7 @@ def _beyond_notes(methods: Sequence[Method]) -> list[str]:
     for method in methods:
         beyond = [run.limit for run in method.runs if run.beyond]
         if beyond and len(method.runs) == 1:
-            notes.append(f"{method.name}: the sweep ends there, the limit may be higher.")
+            notes.append(f"{method.name}: {BEYOND}")
         elif beyond:
             seeds = f"{len(beyond)} of {len(method.runs)} seeds"
             notes.append(f"{method.name}: the sweep of {seeds} ends at their limit, which may be higher: no mean.")

@@ -23,6 +23,7 @@ ABLATION_NOTES = (
     "h_com: above the ground below the centre of mass. error: of a trial's mean speed from the commanded one.",
 )
 LIMIT_NOTE = "Max grade: steepest with SR of 50 % and more in the slope-limit sweep."
+BEYOND = "the sweep ends there, the limit may be higher."
 MEAN_NOTE = "±: 95 % of the mean over trials of this policy on this track, by Student's t."
 AT_SPEED = "at the commanded speed"
 """Name of the row with the time that the commanded speed takes."""
@@ -76,7 +77,7 @@ def main_table(results: Sequence[Result], paper: Paper) -> Sheet:
         MEAN_NOTE,
         *metric_notes(results, grades, names),
         LIMIT_NOTE,
-        *(f"{r.name}: the sweep ends there, the limit may be higher." for r in results if r.beyond),
+        *(f"{r.name}: {BEYOND}" for r in results if r.beyond),
     ]
     columns = [column for grade in grades for column in _columns(names, f"{grade:g}°")]
     rows = _beside(results, paper.main, ours, theirs)
