@@ -7,6 +7,7 @@ from typing import Literal
 import mujoco
 
 from humoslope.errors import require_not_negative, unknown
+from humoslope.scene.fit import check_fit
 from humoslope.scene.robot import Robot
 from humoslope.scene.sensors import add_contact_sensors, add_robot_sensors
 from humoslope.terrain.grid import Terrain
@@ -31,11 +32,13 @@ def build_model(
             only the buffers for one, if any.
 
     Raises:
-        UserError: If the cone is unknown, or the delay is negative or not finite.
+        UserError: If the cone is unknown, the delay is negative or not finite, or the robot does not fit its own model
+            (see `check_fit`).
     """
     if cone not in CONES:
         raise unknown("friction cone", cone, CONES)
     spec = robot.make_spec()
+    check_fit(robot, spec)
     add_robot_sensors(spec, robot)
     add_terrain(spec, terrain)
     add_contact_sensors(spec, robot)
