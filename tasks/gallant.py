@@ -20,7 +20,7 @@ from humoslope.managers import (
     Terms,
 )
 from humoslope.managers.goal import GoalCommandCfg
-from humoslope.mdp import curricula, gallant, rewards, terminations, voxels
+from humoslope.mdp import curricula, gallant, rewards, terminations, unitree_rl_lab, voxels
 from humoslope.registry import TaskCfg, task
 from robots.unitree_g1 import UNITREE_G1_SOLID
 from tasks.stage1 import falls, harness_curriculum, physics, proprioception, randomisation
@@ -108,7 +108,7 @@ def gallant_rewards() -> Terms[RewardTermCfg]:
         power=RewardTermCfg(gallant.power_l2, weight=-2e-4),
         stumble=RewardTermCfg(gallant.stumble, weight=-1.0),
         torques=RewardTermCfg(gallant.torque_over_stiffness_l2, weight=-2.5e-6),
-        joint_vel=RewardTermCfg(gallant.joint_vel_l2, weight=-1e-4),
+        joint_vel=RewardTermCfg(unitree_rl_lab.joint_vel_l2, weight=-1e-4),
         fast_joints=RewardTermCfg(gallant.FastJoints, {"share": 0.8}, weight=-2e-3),
         strong_joints=RewardTermCfg(gallant.StrongJoints, {"share": 0.95}, weight=-0.01),
         heavy_feet=RewardTermCfg(gallant.heavy_feet, {"free": 250.0}, weight=-1e-6),

@@ -685,6 +685,44 @@ def test_harness_and_levels_come_back_from_a_state_and_all_envs_start_on_their_t
         assert other.tiles.level.equal(expected)  # no world moves before its episode has ended
 
 
+def test_the_first_commands_of_a_run_are_as_varied_as_its_harness_is_withdrawn(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    def stand(cfg: EnvCfg) -> None:
+        cfg.command.standing_share = 1.0
+
+    env = make_stage1(8, stand)
+    assert env.commands.variety == 0.0
+    assert env.commands.moving.all()
+    state = env.state_dict()
+    state["curriculum"]["harness"]["scale"] = 0.0
+    env.load_state_dict(state)
+    assert env.commands.variety == 1.0
+    assert not env.commands.moving.any()
+
+
+def test_a_reset_begins_episodes_where_it_is_asked_to_and_leaves_the_others_alone(
+    make_stage1: Callable[..., ManagerBasedRlEnv],
+) -> None:
+    env = make_stage1(4, few_tiles)
+    env.enable_terminal_observations()
+    for step in range(5):
+        env.step(noise(env, step))
+    before, qpos = env.get_observations(), env.sim.state("qpos").clone()
+    chosen = torch.tensor([True, False, False, True])
+    obs = env.reset(chosen)
+    assert obs is env.get_observations()
+    assert obs is env.terminal_observations
+    assert env.steps_since_reset.tolist() == [0, 5, 5, 0]
+    assert env.episode_length_buf.tolist() == [0, 5, 5, 0]
+    moved = (env.sim.state("qpos") != qpos).any(dim=1)
+    assert moved.equal(chosen)
+    frames = obs["actor"].view(4, -1)
+    assert (frames != before["actor"]).any(dim=1)[chosen].all()
+    env.reset()
+    assert env.steps_since_reset.tolist() == [0] * 4
+
+
 def test_levels_that_are_no_more_there_are_cut(make_stage1: Callable[..., ManagerBasedRlEnv]) -> None:
     env = make_stage1(4, few_tiles)
     env.load_state_dict(env.state_dict() | {"level": torch.tensor([0, 2, 7, 9])})

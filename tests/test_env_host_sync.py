@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from humoslope.check.host_sync import HostSync, NoHostSync, no_host_sync
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
-from humoslope.managers import ObservationTermCfg, RewardTermCfg, TermCfg
-from humoslope.mdp import bsga, observations
+from humoslope.managers import EventTermCfg, ObservationTermCfg, RewardTermCfg, TermCfg
+from humoslope.mdp import bsga, events, gallant, observations
 from humoslope.mdp.bsga_memory import SlopeGait
 from humoslope.slope.descriptor import phi5
 
@@ -24,6 +25,8 @@ def test_a_step_never_waits_for_the_device_whatever_happens_in_it(
     def change(cfg: EnvCfg) -> None:
         cfg.observations.critic.terms.terrain_descriptor = ObservationTermCfg(observations.terrain_descriptor)
         cfg.observers.slope_gait = TermCfg(SlopeGait)
+        cfg.events.com = EventTermCfg(events.randomize_com, {"body": "torso_link", "offset": 0.02})  # at resets
+        cfg.rewards.head_height = RewardTermCfg(gallant.head_height, {"target": 1.2})
         cfg.rewards.com_height = RewardTermCfg(bsga.ComHeight, {"nominal": 0.69})
         cfg.rewards.hip = RewardTermCfg(bsga.HipPropulsion)
         cfg.rewards.brake = RewardTermCfg(bsga.KneeBraking)
@@ -89,6 +92,9 @@ WAITS: dict[str, Callable[[Tensor], Any]] = {
     "cpu": lambda x: x.cpu(),
     "new": lambda x: torch.tensor([1.0, 2.0]),
     "away": lambda x: x.to("meta"),
+    "index_by_list": lambda x: x[[0, 2]],
+    "column_by_tuple": lambda x: x[None, :][:, (0, 2)],
+    "write_by_array": lambda x: x.clone().__setitem__(np.array([0, 2]), 0.0),
 }
 
 

@@ -135,6 +135,7 @@ class More(Settings):
         ),
         ("rate", math.nan, "settings.rate is nan; it must be positive (not finite)."),
         ("count", 1.5, "settings.count is 1.5; it must be a whole number."),
+        ("count", 8.0, "settings.count is 8; it must be a whole number."),
         ("rate", "many", "settings.rate is 'many'; it must be positive (not a number)."),
         (
             "rate",

@@ -258,6 +258,7 @@ class ManagerBasedRlEnv:
         self.events.startup()
         self.terminations = TerminationManager(self, cfg.terminations)
         everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self.curriculum.begin()
         self._restart(everywhere)
         self.observations = ObservationManager(self, cfg.observations)
         self.observers = ObserverManager(self, cfg.observers)
@@ -330,6 +331,16 @@ class ManagerBasedRlEnv:
         if self._keeps_terminal_observations:
             self.terminal_observations = self._obs if terminal is None else self._where_ended(terminal, done)
         return self._obs, reward, terminated, time_outs
+
+    def reset(self, mask: Tensor | None = None) -> TensorDict:
+        """Ends the episodes of the envs in `mask` [N], of all by default, as if their time had run out, and starts new
+        ones; the other envs stay as they are. Returns the observations of all envs."""
+        mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device) if mask is None else mask
+        self._reset(mask)
+        self._obs = self.observations.compute(mask)
+        if self._keeps_terminal_observations:
+            self.terminal_observations = self._obs
+        return self._obs
 
     def get_observations(self) -> TensorDict:
         """Returns the observations of the last step or reset."""
@@ -423,6 +434,7 @@ class ManagerBasedRlEnv:
         index = torch.arange(self.num_envs, device=self.device) * len(level) // self.num_envs
         self.tiles.set_level(level[index].clamp(max=self.tiles.num_levels - 1))
         self.curriculum.load_state_dict(state["curriculum"])
+        self.curriculum.begin()
         everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._restart(everywhere)
         self._obs = self.observations.compute(everywhere)

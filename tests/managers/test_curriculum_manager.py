@@ -113,3 +113,21 @@ def test_a_term_that_does_not_exist_is_named_with_the_nearest_one(env):
     curriculum = CurriculumManager(env, Terms(level=TermCfg(Level)))
     with pytest.raises(UserError, match="curriculum 'levle' does not exist; did you mean 'level'"):
         curriculum["levle"]
+
+
+@pytest.mark.parametrize(
+    ("difficulty", "logged"), [(2, {"Curriculum/level": 2.0}), (0.5, {"Curriculum/level": 0.5}), (None, {})]
+)
+def test_a_function_may_return_a_number_or_nothing(env, mask, difficulty, logged):
+    curriculum = CurriculumManager(env, Terms(level=TermCfg(lambda env, mask: difficulty)))
+    curriculum.reset(mask(N, 2))
+    assert env.log.flush() == logged
+
+
+def test_a_term_sets_what_the_first_episodes_begin_with(env):
+    class Wide(Level):
+        def begin(self, env):
+            env.width = 2.0
+
+    CurriculumManager(env, Terms(level=TermCfg(Level), wide=TermCfg(Wide), quiet=TermCfg(quiet))).begin()
+    assert env.width == 2.0

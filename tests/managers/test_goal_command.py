@@ -52,6 +52,17 @@ def track(speed: float = 0.5) -> GoalCommandCfg:
     return GoalCommandCfg().on_course(asked)
 
 
+def test_a_goal_to_stand_at_does_not_follow_a_robot_that_creeps_away(make_goals):
+    asked = VelocityCommandCfg(heading_share=1.0, standing_share=1.0)
+    goals = make_goals(GoalCommandCfg().on_course(asked), x=10.0)
+    for x in (10.1, 10.3, 10.6):
+        walk(goals, to=(x, 0.0), seconds=1.0)
+        assert goals.goal_w.tolist() == [[10.0, 0.0]]
+        assert not goals.moving.any()
+    walk(goals, to=(11.0, 0.0), seconds=8.0)  # its time is over
+    assert goals.goal_w.tolist() == [[11.0, 0.0]]
+
+
 def walk(goals, *, to=None, seconds: float = 0.02) -> None:
     """Lets time pass; the robot is then at `to`."""
     env = goals._env

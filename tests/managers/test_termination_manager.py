@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from humoslope.errors import UserError
 from humoslope.managers import StatefulTerm, TerminationManager, TerminationTermCfg, Terms
 
 N = 4
@@ -81,3 +82,26 @@ def test_stateful_terminations_are_reset_with_their_envs(env, mask):
     terminations.compute()
     terminations.reset(mask(N, 0, 1))
     assert terminations.compute().tolist() == [False, False, True, True]
+
+
+def test_a_reason_of_the_last_step_is_read_by_its_name(terminations):
+    assert not terminations["late"].any()
+    terminations.compute()
+    assert terminations["late"].tolist() == [False, False, True, True]
+    assert terminations["fallen"].tolist() == [False, True, False, True]
+    with pytest.raises(UserError, match="termination 'falen' does not exist; did you mean 'fallen'"):
+        terminations["falen"]
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (torch.zeros(N, 1, dtype=torch.bool), r"torch.bool of shape \(4, 1\)"),
+        (torch.zeros(N), r"torch.float32 of shape \(4,\)"),
+        (torch.tensor(False), r"torch.bool of shape \(\)"),
+    ],
+)
+def test_a_value_that_would_be_made_something_of_is_refused(env, value, said):
+    terminations = TerminationManager(env, Terms(odd=TerminationTermCfg(lambda env: value)))
+    with pytest.raises(UserError, match=f"termination 'odd' returned {said}; it must be bool of shape \\(4,\\)"):
+        terminations.compute()

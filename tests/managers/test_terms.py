@@ -64,6 +64,20 @@ def test_deleting_takes_a_term_away(terms):
     assert "alive" not in terms
 
 
+def test_joining_and_updating_keep_the_rules_of_setting_a_term(terms):
+    more = {"swing": None, "pitch": RewardTermCfg(height, weight=2.0)}
+    joined = terms | more
+    assert isinstance(joined, Terms)
+    assert list(joined) == ["alive", "zmp", "pitch"]
+    assert list(terms) == ["alive", "swing", "zmp"]
+    terms |= more
+    assert terms == joined
+    terms.update(alive=None)
+    assert list(terms) == ["zmp", "pitch"]
+    with pytest.raises(UserError, match="a term cannot be named 'items'"):
+        terms.update({"items": RewardTermCfg(height)})
+
+
 def test_a_new_term_goes_to_the_end(terms):
     terms.pitch = RewardTermCfg(height)
     assert [name for name, _ in terms.items()][-1] == "pitch"

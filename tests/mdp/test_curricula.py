@@ -221,7 +221,7 @@ def test_levels_open_as_the_strictness_of_the_harness_grows(env, strictness, hig
 
 def test_only_a_harness_opens_levels(env):
     env.events = {"push": lambda env, mask: None}
-    with pytest.raises(UserError, match="terrain levels: event 'push' is not a Harness"):
+    with pytest.raises(UserError, match="event 'push' is not a Harness"):
         TerrainLevels(env, harness="push")
 
 

@@ -360,6 +360,29 @@ def test_joint_parameters_fill_their_range_in_their_envs_and_joints_alone(worlds
     assert env.sim.recomputed == 1
 
 
+def test_events_of_one_kind_for_other_joints_leave_each_others_alone(worlds):
+    env = worlds()
+    legs, arms = ".*_(hip|knee|ankle)_.*", ".*_(shoulder|elbow|wrist)_.*"
+    for joints, span in ((legs, (2.0, 2.1)), (arms, (3.0, 3.1))):
+        randomization.randomize_joint_damping(env, HALF, span, joints)
+        randomization.randomize_joint_friction(env, HALF, span, joints)
+        randomization.randomize_armature(env, HALF, span, joints)
+        randomization.randomize_motor_strength(env, HALF, span, joints)
+    randomization.randomize_encoder_bias(env, HALF, 0.2, legs)
+    legs_bias = env.drives.encoder_bias.clone()
+    randomization.randomize_encoder_bias(env, HALF, 0.1, arms)
+    of_legs, of_waist, of_arms = slice(0, 12), slice(12, 15), slice(15, J)
+    armature = env.sim.expand("dof_armature")[:, 6:] / torch.tensor(env.sim.model.dof_armature[6:])
+    damping, friction = (env.sim.expand(name)[:, 6:] for name in ("dof_damping", "dof_frictionloss"))
+    for values, usual in ((damping, 0.0), (friction, 0.0), (armature, 1.0), (env.drives.strength, 1.0)):
+        assert fills(values[HALF][:, of_legs], 2.0, 2.1)
+        assert fills(values[HALF][:, of_arms], 3.0, 3.1)
+        assert (values[HALF][:, of_waist] - usual).abs().max() < 1e-6
+    assert env.drives.encoder_bias[:, of_legs].equal(legs_bias[:, of_legs])
+    assert fills(env.drives.encoder_bias[HALF][:, of_arms], -0.1, 0.1)
+    assert env.drives.encoder_bias[:, of_waist].count_nonzero() == 0
+
+
 @given(span=spans)
 def test_strength_scales_gains_and_limits_alike(worlds, span):
     env = worlds()

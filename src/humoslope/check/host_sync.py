@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
@@ -86,9 +87,17 @@ class _NoHostCalls(TorchFunctionMode):
         self._guard = guard
 
     def __torch_function__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
-        if not self._guard.exempt and (func in FROM_HOST or func in TO_HOST):
+        if not self._guard.exempt and (func in FROM_HOST or func in TO_HOST or _indexes_by_a_list(func, args)):
             raise HostSync(f"{func} copies between host and device")
         return func(*args, **(kwargs or {}))
+
+
+def _indexes_by_a_list(func: Any, args: tuple[Any, ...]) -> bool:
+    """True for `x[:, [2, 5]]`: the list becomes a tensor on the host, which is copied to the device each time."""
+    if func not in (Tensor.__getitem__, Tensor.__setitem__):
+        return False
+    places = args[1] if isinstance(args[1], tuple) else (args[1],)
+    return any(isinstance(place, (list, tuple, np.ndarray)) for place in places)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Any
 
+import torch
 from rich.table import Table
 from torch import Tensor
 
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
 
 class CurriculumTerm(StatefulTerm):
     """Curriculum with a memory; constructed with the environment and the term's parameters."""
+
+    def begin(self, env: Env) -> None:
+        """Called before the first episodes of a run begin, and before those of a resumed run, once every curriculum has
+        its state: what episodes begin with is set here, and in `step` from then on."""
 
     @abstractmethod
     def step(self, env: Env) -> Tensor:
@@ -45,14 +50,14 @@ class CurriculumTerm(StatefulTerm):
 class CurriculumManager:
     """Runs the curricula.
 
-    A term is a `CurriculumTerm`, or a function `func(env, mask, **params) -> Tensor` that is called with the envs about
-    to be reset and returns the difficulty to log.
+    A term is a `CurriculumTerm`, or a function `func(env, mask, **params)` that is called with the envs about to be
+    reset and returns the difficulty to log: a tensor, scalar or [N], a number, or None for nothing to log.
     """
 
     def __init__(self, env: Env, cfg: Terms[TermCfg]) -> None:
         self._env = env
         self._terms: dict[str, CurriculumTerm] = {}
-        self._functions: dict[str, Callable[..., Tensor]] = {}
+        self._functions: dict[str, Callable[..., Tensor | float | None]] = {}
         for name, term in cfg.items():
             call = bind("curriculum", name, term, env, ("env", "mask"))
             if isinstance(call, CurriculumTerm):
@@ -72,6 +77,11 @@ class CurriculumManager:
             raise unknown("curriculum", name, self._terms)
         return self._terms[name]
 
+    def begin(self) -> None:
+        """Lets every `CurriculumTerm` set what the first episodes begin with."""
+        for term in self._terms.values():
+            term.begin(self._env)
+
     def step(self) -> None:
         """Steps every `CurriculumTerm` and logs its difficulty. Called in every control step."""
         for name, term in self._terms.items():
@@ -80,7 +90,11 @@ class CurriculumManager:
     def reset(self, mask: Tensor) -> None:
         """Shows every term the episodes that end in `mask` [N]. Called only if some may end, before they are reset."""
         for name, function in self._functions.items():
-            self._env.log.add(f"Curriculum/{name}", function(self._env, mask))
+            difficulty = function(self._env, mask)
+            if isinstance(difficulty, int | float):
+                difficulty = torch.full((), difficulty, device=self._env.device)
+            if difficulty is not None:
+                self._env.log.add(f"Curriculum/{name}", difficulty)
         for term in self._terms.values():
             term.reset(mask)
 
@@ -98,8 +112,7 @@ class CurriculumManager:
     def average(self, mean: Callable[[Tensor], Tensor]) -> None:
         """Shares the difficulties between processes; see `CurriculumTerm.average`."""
         for term in self._terms.values():
-            if isinstance(term, CurriculumTerm):
-                term.average(mean)
+            term.average(mean)
 
     def table(self) -> Table:
         """Table of the curricula and their parameters."""

@@ -39,6 +39,7 @@ class GoalCommandCfg(VelocityCommandCfg):
         stay_s: Last part of that time, in which the robot should be there already, s.
         reach: Distance at which a goal is reached, m.
         pass_at: Distance at which a goal makes room for the next one before its time is over, m; 0 to stand at each.
+            A goal that a robot was asked to stand at stays for its time.
         edge: Least distance of a goal from the edges of the tile, m.
     """
 
@@ -134,7 +135,9 @@ class GoalCommand(CommandManager):
     def step(self) -> None:
         """Lets a control step pass: another goal where the time is over or the robot has come close."""
         steps = self._env.steps_since_reset
-        over = (steps - self._since >= self._steps) | (self.to_goal_w.norm(dim=1) < self.cfg.pass_at)
+        # A goal to stand at is there from the start, and stays: it would follow a robot that creeps away otherwise.
+        passed = (self.to_goal_w.norm(dim=1) < self.cfg.pass_at) & ~self._asked_to_stand
+        over = (steps - self._since >= self._steps) | passed
         if not self._env.sim.known_empty(over):
             self._set_goals(over)
             self._since = torch.where(over, steps, self._since)

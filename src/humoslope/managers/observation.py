@@ -210,7 +210,8 @@ class ObservationGroup:
 
     def _frame(self, calls: dict[str, Callable[..., Any]]) -> Tensor:
         """Present values of the terms, noisy and scaled, [N, D, ...]."""
-        frame = torch.cat([call(self.env) for call in calls.values()], dim=1) * self._scale
+        values = torch.cat([call(self.env) for call in calls.values()], dim=1)
+        frame = values.to(torch.float32) * self._scale  # no network takes a term in double precision
         if not self._noisy:
             return frame
         uniform = self.cfg.noise_source(self.env, frame)  # in [0, 1)

@@ -10,6 +10,7 @@ import torch
 from rich.table import Table
 from torch import Tensor
 
+from humoslope.errors import UserError, unknown
 from humoslope.managers.terms import StatefulTerms, TermCfg, Terms, bind
 
 if TYPE_CHECKING:
@@ -50,10 +51,29 @@ class TerminationManager:
 
     def compute(self) -> Tensor:
         """Returns the envs [N] (bool) whose episode ends now, and sets `terminated` and `time_outs`."""
-        self._hits = [call(self._env) for call in self._calls]
+        self._hits = [self._checked(name, call(self._env)) for name, call in zip(self.names, self._calls, strict=True)]
         self.terminated = self._any(time_out=False)
         self.time_outs = self._any(time_out=True) & ~self.terminated
         return self.terminated | self.time_outs
+
+    def __getitem__(self, name: str) -> Tensor:
+        """Returns the envs [N] (bool) in which the term called `name` held in the last step.
+
+        Raises:
+            UserError: If there is none.
+        """
+        if name not in self.names:
+            raise unknown("termination", name, self.names)
+        return self._hits[self.names.index(name)]
+
+    def _checked(self, name: str, hit: Tensor) -> Tensor:
+        """The value of a term, which `logical_or` would take in other shapes and types too, and make something of."""
+        if hit.shape != self._nowhere.shape or hit.dtype != torch.bool:
+            raise UserError(
+                f"termination '{name}' returned {hit.dtype} of shape {tuple(hit.shape)}; it must be bool of shape "
+                f"({self._env.num_envs},), one value per env."
+            )
+        return hit
 
     def _any(self, time_out: bool) -> Tensor:
         """The envs [N] in which a term of this sort holds."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -43,6 +43,20 @@ class Terms(dict[str, T]):
             raise UserError(f"a term cannot be named '{name}'; it must be an identifier and no method of dict.")
         else:
             super().__setitem__(name, term)
+
+    def update(self, *others: Any, **terms: T | None) -> None:
+        """Sets terms as `dict.update` does, by the rules of setting one: None takes a term away."""
+        for name, term in dict(*others, **terms).items():
+            self[name] = term
+
+    def __or__(self, other: Mapping[str, T]) -> Terms[T]:  # type: ignore[override]
+        joined = Terms(**self)
+        joined.update(other)
+        return joined
+
+    def __ior__(self, other: Mapping[str, T]) -> Terms[T]:  # type: ignore[override]
+        self.update(other)
+        return self
 
     def __getattr__(self, name: str) -> T:
         # Only reached when `dict` has no attribute of that name.

@@ -142,7 +142,7 @@ class KneeBraking(StatefulTerm):
         cue: str = CUE,
     ) -> None:
         self._flexion, self._rise, self._std, self._full_share = flexion, rise, std, full_share
-        self._knee = torch.tensor(joint_pair(env.robot, knee), device=env.device)
+        self._knee = joint_pair(env.robot, knee, env.device)
         self._cue = slope_gait(env, cue)
         self._work = StanceWork(env, (hip, knee, ankle), "negative", self._cue.gain)
 
@@ -249,7 +249,7 @@ class SwingHip(StatefulTerm):
     ) -> None:
         self._calibration = SwingCalibration(beta0, beta1, theta_clip)
         self._std = std
-        self._hip = torch.tensor(joint_pair(env.robot, hip), device=env.device)
+        self._hip = joint_pair(env.robot, hip, env.device)
         self._swing = Swing(env, force, settle_s, longest_s)
         self._cue = slope_gait(env, cue)
 

@@ -108,8 +108,7 @@ class StanceWork:
             done: Sign of the power that counts.
             gain: Weight of a new sample.
         """
-        pairs = [joint_pair(env.robot, pattern) for pattern in joints]
-        self._index = torch.tensor(pairs, device=env.device).flatten()  # [6]
+        self._index = torch.cat([joint_pair(env.robot, pattern, env.device) for pattern in joints])  # [6]
         self._sign = 1.0 if done == "positive" else -1.0
         self._gain = gain
         self._least = bsga.LEAST_POWER * env.robot.total_mass  # W

@@ -65,9 +65,7 @@ class TerrainLevels(CurriculumTerm):
         env.tiles.set_level(torch.randint_like(env.tiles.level, max(1, round(spread * env.tiles.num_levels))))
         self._env, self._up, self._down, self._least = env, up, down, least_commanded
         self._least_steps = least_s / env.step_dt
-        self._harness: Harness | None = env.events[harness] if harness else None
-        if self._harness is not None and not isinstance(self._harness, Harness):
-            raise UserError(f"terrain levels: event '{harness}' is not a Harness.")
+        self._harness = Harness.of(env, harness) if harness else None
         self._commanded = env.zeros()  # [N] m since the start of the episode
         self._walked = env.zeros()  # [N] m in the commanded direction
 

@@ -179,8 +179,8 @@ def randomize_com(env: Env, mask: Tensor, body: Body, offset: Annotated[float, R
         offset: Largest distance along each axis of the body, m.
     """
     i = body_id(env, body)
-    com = torch.as_tensor(env.sim.model.body_ipos[i], dtype=torch.float32, device=env.device)
-    replace(env.sim.expand("body_ipos")[:, i], mask, com + env.uniform(-offset, offset, 3))
+    com = env.masses.nominal_com[i] + env.uniform(-offset, offset, 3)
+    replace(env.sim.expand("body_ipos")[:, i], mask, com)
     env.sim.recompute_constants()
 
 

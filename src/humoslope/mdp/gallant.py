@@ -127,8 +127,8 @@ def head_height(
 ) -> Tensor:
     """exp(-4 e^2) of the error e of the head's height in m, less 5 |e (s - 0.5)| for each of four joints.
 
-    s is the place of a joint in its range, from straight to bent: who is too high or too low shall not have legs at the
-    end of their range.
+    s is the place of a joint in its range, from straight to bent: a robot that is too high or too low should not reach
+    the end of its legs' range.
 
     Args:
         target: Height of the head over the ground below it, m.
@@ -140,7 +140,7 @@ def head_height(
     error = place[:, 2] - env.terrain.height(place[:, :2]) - target
     low, high = env.joint_range.unbind(dim=1)
     bent = (env.signals.joint_pos - low) / (high - low)
-    knee, hip = (bent[:, joint_pair(env.robot, joints)] for joints in (knees, hips))
+    knee, hip = (bent.index_select(1, joint_pair(env.robot, joints, env.device)) for joints in (knees, hips))
     # A hip flexes by a negative angle.
     off = (knee - 0.5).abs().sum(dim=1) + (0.5 - hip).abs().sum(dim=1)
     return torch.exp(-4.0 * error.square()) - 5.0 * off * error.abs()
@@ -368,11 +368,6 @@ def power_l2(env: Env) -> Tensor:
 def torque_over_stiffness_l2(env: Env) -> Tensor:
     """Squared torques, each over the joint's position gain, summed, rad^2."""
     return (env.signals.joint_torque / env.drives.nominal_stiffness).square().sum(dim=1)
-
-
-def joint_vel_l2(env: Env) -> Tensor:
-    """Squared joint velocities, summed, (rad/s)^2."""
-    return env.signals.joint_vel.square().sum(dim=1)
 
 
 class FastJoints(StatefulTerm):

@@ -64,6 +64,18 @@ class Harness(StatefulTerm):
         self._up = torch.tensor([[0.0, 0.0, 1.0]], device=env.device)
         self._chain = _Chain(env.sim.model, *self._bodies, env.device)
 
+    @classmethod
+    def of(cls, env: Env, event: str) -> Harness:
+        """The event of this name.
+
+        Raises:
+            UserError: If it is no harness.
+        """
+        harness = env.events[event]
+        if not isinstance(harness, cls):
+            raise UserError(f"event '{event}' is not a Harness.")
+        return harness
+
     @property
     def withdrawn(self) -> Tensor:
         """What has been withdrawn of it, a scalar in [0, 1]."""
@@ -95,7 +107,7 @@ class _Chain:
     """
 
     def __init__(self, model: mujoco.MjModel, root: int, body: int, device: torch.device) -> None:
-        self._links: list[tuple[Tensor, list[tuple[Tensor, Tensor, int, int]]]] = []
+        self._links: list[tuple[Tensor, list[tuple[Tensor, Tensor, int, int, float]]]] = []
         while body != root:
             hinges = []
             first, count = model.body_jntadr[body], model.body_jntnum[body]
@@ -104,7 +116,8 @@ class _Chain:
                     raise UserError("harness: only hinge joints may connect the robot's root with its torso.")
                 axis = torch.tensor(model.jnt_axis[joint], dtype=torch.float32, device=device)
                 cross = torch.linalg.cross(axis.expand(3, 3), torch.eye(3, device=device)).T  # cross @ v = axis x v
-                hinges.append((axis, cross, int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])))
+                position, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+                hinges.append((axis, cross, position, velocity, float(model.qpos0[position])))
             frame = torch.tensor(model.body_quat[body], dtype=torch.float32, device=device)
             self._links.insert(0, (quaternion.matrix(frame), hinges))
             body = int(model.body_parentid[body])
@@ -116,9 +129,9 @@ class _Chain:
         ang_vel = (rotation @ qvel[:, 3:6, None]).squeeze(2)  # MuJoCo has a free joint's in the body frame
         for frame, hinges in self._links:
             rotation = rotation @ frame
-            for axis, cross, position, velocity in hinges:
+            for axis, cross, position, velocity, at_rest in hinges:
                 ang_vel = ang_vel + (rotation @ axis) * qvel[:, velocity, None]
-                angle = qpos[:, position, None, None]
+                angle = qpos[:, position, None, None] - at_rest
                 turn = self._eye + angle.sin() * cross + (1.0 - angle.cos()) * (cross @ cross)  # Rodrigues
                 rotation = rotation @ turn
         return rotation[:, :, 2], ang_vel
@@ -153,7 +166,7 @@ class HarnessCurriculum(CurriculumTerm):
         speed_share: NotNegative = 0.7,
         memory_s: Positive = 10.0,
     ) -> None:
-        harness = _harness(env, event)
+        harness = Harness.of(env, event)
         require_not_negative(
             "harness curriculum",
             rate=rate,
@@ -238,7 +251,7 @@ class StrengthenRewards(CurriculumTerm):
             if name not in env.cfg.rewards:
                 raise unknown("reward", name, env.cfg.rewards)
         self._rewards = tuple(name for name in rewards if env.cfg.rewards[name].weight)  # others are switched off
-        self._harness, self._by = _harness(env, event), by
+        self._harness, self._by = Harness.of(env, event), by
 
     def step(self, env: Env) -> Tensor:
         """Sets the strengths; returns it."""
@@ -262,21 +275,13 @@ class VaryCommands(CurriculumTerm):
     """
 
     def __init__(self, env: Env, event: str = "harness") -> None:
-        self._harness = _harness(env, event)
+        self._harness = Harness.of(env, event)
+
+    def begin(self, env: Env) -> None:
+        """Sets the variety of the first commands."""
+        env.commands.variety = self._harness.withdrawn
 
     def step(self, env: Env) -> Tensor:
         """Sets the variety of commands; returns it."""
-        env.commands.variety = self._harness.withdrawn
+        self.begin(env)
         return env.commands.variety
-
-
-def _harness(env: Env, event: str) -> Harness:
-    """The event of this name.
-
-    Raises:
-        UserError: If it is no `Harness`.
-    """
-    harness = env.events[event]
-    if not isinstance(harness, Harness):
-        raise UserError(f"event '{event}' is not a Harness.")
-    return harness

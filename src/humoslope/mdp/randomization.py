@@ -88,10 +88,10 @@ def randomize_encoder_bias(env: Env, mask: Tensor, bias: NotNegative, joints: Jo
 
     Args:
         bias: Largest error, rad.
-        joints: Joints with an error.
+        joints: Joints with this error; the others keep theirs.
     """
-    chosen = joint_mask(env.robot, joints, env.device)
-    env.drives.set(mask, encoder_bias=env.uniform(-bias, bias, env.robot.num_joints) * chosen)
+    drawn = env.uniform(-bias, bias, env.robot.num_joints)
+    env.drives.set(mask, encoder_bias=torch.where(_chosen(env, joints), drawn, env.drives.encoder_bias))
 
 
 def randomize_imu_mounting(env: Env, mask: Tensor, tilt: NotNegative) -> None:
@@ -124,10 +124,10 @@ def randomize_motor_strength(env: Env, mask: Tensor, strength: PositiveSpan, joi
 
     Args:
         strength: Range of the factor.
-        joints: Joints whose motors vary.
+        joints: Joints whose motors vary; the others keep theirs.
     """
     drawn = env.uniform(*strength, env.robot.num_joints)
-    env.drives.set(mask, strength=torch.where(_chosen(env, joints), drawn, 1.0))
+    env.drives.set(mask, strength=torch.where(_chosen(env, joints), drawn, env.drives.strength))
 
 
 def randomize_armature(env: Env, mask: Tensor, factor: PositiveSpan, joints: Joints = ".*") -> None:
@@ -137,10 +137,10 @@ def randomize_armature(env: Env, mask: Tensor, factor: PositiveSpan, joints: Joi
 
     Args:
         factor: Range of the factor.
-        joints: Joints whose motors vary.
+        joints: Joints whose motors vary; the others keep theirs.
     """
-    drawn = torch.where(_chosen(env, joints), env.uniform(*factor, env.robot.num_joints), 1.0)
-    replace(_joints(env, "dof_armature"), mask, env.drives.nominal_armature * drawn)
+    drawn = env.drives.nominal_armature * env.uniform(*factor, env.robot.num_joints)
+    _replace_joints(env, "dof_armature", mask, joints, drawn)
     env.sim.recompute_constants()
 
 
@@ -149,10 +149,9 @@ def randomize_joint_damping(env: Env, mask: Tensor, damping: NotNegativeSpan, jo
 
     Args:
         damping: Range of the coefficient, Nm s/rad.
-        joints: Joints with this damping; the others have none.
+        joints: Joints with this damping; the others keep theirs.
     """
-    drawn = env.uniform(*damping, env.robot.num_joints)
-    replace(_joints(env, "dof_damping"), mask, torch.where(_chosen(env, joints), drawn, 0.0))
+    _replace_joints(env, "dof_damping", mask, joints, env.uniform(*damping, env.robot.num_joints))
 
 
 def randomize_joint_friction(env: Env, mask: Tensor, friction: NotNegativeSpan, joints: Joints = ".*") -> None:
@@ -162,10 +161,9 @@ def randomize_joint_friction(env: Env, mask: Tensor, friction: NotNegativeSpan, 
 
     Args:
         friction: Range of the torque, Nm.
-        joints: Joints with friction; the others have none.
+        joints: Joints with this friction; the others keep theirs.
     """
-    drawn = env.uniform(*friction, env.robot.num_joints)
-    replace(_joints(env, "dof_frictionloss"), mask, torch.where(_chosen(env, joints), drawn, 0.0))
+    _replace_joints(env, "dof_frictionloss", mask, joints, env.uniform(*friction, env.robot.num_joints))
 
 
 def randomize_link_masses(env: Env, mask: Tensor, factor: PositiveSpan) -> None:
@@ -202,6 +200,7 @@ def _chosen(env: Env, joints: str) -> Tensor:
     return joint_mask(env.robot, joints, env.device) > 0.0
 
 
-def _joints(env: Env, field: str) -> Tensor:
-    """View of a model field over degrees of freedom without those of the root, [N, J]."""
-    return env.sim.expand(field)[:, 6:]
+def _replace_joints(env: Env, field: str, mask: Tensor, joints: str, values: Tensor) -> None:
+    """Writes `values` [N, J] of the chosen joints into a model field over degrees of freedom."""
+    present = env.sim.expand(field)[:, 6:]  # without those of the root
+    replace(present, mask, torch.where(_chosen(env, joints), values.to(present.dtype), present))

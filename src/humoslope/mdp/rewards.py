@@ -162,7 +162,8 @@ def knee_flexion_l1(env: Env, free: NotNegative, knees: JointPair = ".*_knee_joi
         free: Flexion without cost, rad.
         knees: Joint pattern.
     """
-    return (env.signals.joint_pos[:, joint_pair(env.robot, knees)] - free).relu().mean(dim=1)
+    flexion = env.signals.joint_pos.index_select(1, joint_pair(env.robot, knees, env.device))  # [N, 2]
+    return (flexion - free).relu().mean(dim=1)
 
 
 def foot_slide(env: Env) -> Tensor:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from humoslope.errors import UserError
 from humoslope.mdp import terminations
 from humoslope.mdp.curricula import TerrainLevels
+from humoslope.ranges import parameters_of
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -103,11 +104,12 @@ def _check_straight_tile(env: Env, along: tuple[float, float], across: float, ma
         )
     needs = {"the start": last + margin}
     for _, term in env.cfg.curriculum.items():
-        up = term.params.get("up", 0.8) if term.func is TerrainLevels else 0.0
+        usual_up = parameters_of(TerrainLevels)["up"].default
+        up = term.params.get("up", usual_up) if term.func is TerrainLevels else 0.0
         if up == 1.0 and margin > 0.0:
             raise UserError(f"up 1 of TerrainLevels cannot be reached with a margin of {margin:g} m at the tile's end.")
         if up > 0.0:
-            needs[f"{up:.0%} of the way"] = tiles.spawn_x + margin / (1.0 - up) if margin else tiles.spawn_x
+            needs[f"{up:.0%} of the way"] = last + margin / (1.0 - up) if margin else last
     reason = max(needs, key=lambda name: needs[name])
     if tiles.length < needs[reason]:
         raise UserError(

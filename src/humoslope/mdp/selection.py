@@ -36,8 +36,9 @@ def joint_mask(robot: Robot, pattern: str, device: torch.device) -> Tensor:
 
 
 @lru_cache(maxsize=256)
-def joint_pair(robot: Robot, pattern: str) -> tuple[int, int]:
-    """Index of the left and of the right joint that match the regular expression `pattern`, such as ".*_knee_joint".
+def joint_pair(robot: Robot, pattern: str, device: torch.device) -> Tensor:
+    """Index [2] of the left and of the right joint that match the regular expression `pattern`, such as
+    ".*_knee_joint", for `index_select`: a list of numbers would be copied to the device at each use.
 
     Raises:
         UserError: If `pattern` does not match exactly one whole name with "left" in it and one with "right".
@@ -49,7 +50,7 @@ def joint_pair(robot: Robot, pattern: str) -> tuple[int, int]:
         raise UserError(
             f"joint pattern '{pattern}' must match one left and one right joint of {robot.name}; it matches {found}."
         )
-    return left[0], right[0]
+    return torch.tensor([left[0], right[0]], device=device)
 
 
 def body_id(env: Env, name: str) -> int:
@@ -85,7 +86,7 @@ class Found:
 
 Joints = Annotated[str, Found(lambda env, name: joint_mask(env.robot, name, env.device))]
 """Regular expression on whole joint names that matches at least one."""
-JointPair = Annotated[str, Found(lambda env, name: joint_pair(env.robot, name))]
+JointPair = Annotated[str, Found(lambda env, name: joint_pair(env.robot, name, env.device))]
 """Regular expression on whole joint names that matches one left and one right joint."""
 Body = Annotated[str, Found(body_id)]
 """Name of a body of the model."""

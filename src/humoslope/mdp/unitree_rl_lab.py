@@ -61,7 +61,7 @@ def base_height_world_l2(env: Env, target: Finite) -> Tensor:
 
 
 def joint_vel_l2(env: Env) -> Tensor:
-    """Squared joint velocities, (rad/s)^2."""
+    """Squared joint velocities, summed, (rad/s)^2."""
     return env.signals.joint_vel.square().sum(dim=1)
 
 

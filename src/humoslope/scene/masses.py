@@ -17,12 +17,14 @@ class Masses:
     Attributes:
         factor: [N, nbody] factors on the masses of the model.
         added: [N, nbody] added masses, kg.
+        nominal_com: [nbody, 3] centres of mass of the model, in the frames of the bodies, m.
     """
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
         self._mass = torch.as_tensor(sim.model.body_mass, dtype=torch.float32, device=sim.device)  # [nbody]
         self._inertia = torch.as_tensor(sim.model.body_inertia, dtype=torch.float32, device=sim.device)  # [nbody, 3]
+        self.nominal_com = torch.as_tensor(sim.model.body_ipos, dtype=torch.float32, device=sim.device)
         self.factor = torch.ones(sim.num_worlds, len(self._mass), device=sim.device)
         self.added = torch.zeros_like(self.factor)
 
