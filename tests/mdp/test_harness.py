@@ -362,3 +362,37 @@ def test_commands_vary_as_the_harness_is_withdrawn(bare):
     assert env.commands.variety.item() == pytest.approx(0.3)
     with pytest.raises(UserError, match="event 'push' is not a Harness"):
         VaryCommands(env, event="push")
+
+
+BENT_AT_REST = """
+<mujoco><compiler angle="radian"/><worldbody><body name="pelvis" pos="0 0 1"><freejoint/><geom size="0.1"/>
+  <body name="waist" euler="0.2 0 0.1"><joint name="yaw" axis="0 0 1" ref="0.4"/><geom size="0.1"/>
+    <body name="torso_link" euler="0 -0.3 0"><joint name="pitch" axis="0 1 0" ref="-0.7"/><geom size="0.1"/></body>
+  </body></body></worldbody></mujoco>
+"""
+
+
+@given(seed=st.integers(0, 1000))
+def test_the_wrench_at_the_start_is_right_for_joints_that_are_not_at_0_in_the_model_s_own_pose(make_env, seed):
+    model = mujoco.MjModel.from_xml_string(BENT_AT_REST)
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    quat = rng.normal(size=4)
+    data.qpos[:] = [*rng.normal(size=3), *(quat / np.linalg.norm(quat)), *rng.uniform(-1.0, 1.0, 2)]
+    data.qvel[:] = rng.normal(size=8)
+    mujoco.mj_forward(model, data)
+    env = make_env(
+        1,
+        robot=SimpleNamespace(total_mass=33.0, root_body="pelvis", torso_body="torso_link"),
+        body_id=lambda name: model.body(name).id,
+        sim=SimpleNamespace(state=lambda field: torch.zeros(1, model.nbody, 6), model=model),
+        start_qpos=torch.tensor(data.qpos[None], dtype=torch.float32),
+        start_qvel=torch.tensor(data.qvel[None], dtype=torch.float32),
+        start_wrench=torch.zeros(1, model.nbody, 6),
+    )
+    Harness(env, stiffness=100.0, damping=10.0).reset(EVERYWHERE)
+    torso = model.body("torso_link").id
+    up = data.xmat[torso].reshape(3, 3)[:, 2]
+    velocity = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, torso, velocity, 0)
+    torque = 100.0 * np.cross(up, [0.0, 0.0, 1.0]) - 10.0 * velocity[:3]
+    np.testing.assert_allclose(env.start_wrench[0, torso, 3:5].numpy(), torque[:2], atol=1e-4)

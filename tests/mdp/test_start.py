@@ -18,6 +18,7 @@ from humoslope.managers import TermCfg, TerminationTermCfg, Terms, VelocityComma
 from humoslope.mdp import events, room, terminations
 from humoslope.mdp.curricula import TerrainLevels
 from humoslope.mdp.soles import Soles
+from humoslope.ranges import parameters_of
 from humoslope.scene.tiles import Tiles
 from humoslope.slope import quaternion
 from humoslope.terrain import TerrainGridCfg, TerrainQueries, Tile, TileRowCfg
@@ -163,12 +164,15 @@ def test_a_leg_that_slides_is_refused_by_name():
 # Room on the tile
 
 
-def tile_of(length, width, margin, along=(-0.15, 0.15), across=(-0.5, 0.5), up=None, free=False, **command):
+def levels(**params):
+    return Terms(levels=TermCfg(TerrainLevels, params))
+
+
+def tile_of(length, width, margin, along=(-0.15, 0.15), across=(-0.5, 0.5), *, climb=None, free=False, **command):
     """Builds the start event on a tile of this size, as far as it concerns the room on it."""
-    curriculum = Terms() if up is None else Terms(levels=TermCfg(TerrainLevels, {"up": up}))
     ends = Terms(off_tile=TerminationTermCfg(terminations.off_tile, {"margin": margin}, time_out=True))
     env = SimpleNamespace(
-        cfg=SimpleNamespace(terminations=ends, curriculum=curriculum, command=VelocityCommandCfg(**command)),
+        cfg=SimpleNamespace(terminations=ends, curriculum=climb or Terms(), command=VelocityCommandCfg(**command)),
         tiles=SimpleNamespace(
             length=length, width=width, spawn_x=0.75, has_straight=not free, has_omnidirectional=free
         ),
@@ -188,11 +192,12 @@ def test_a_tile_without_room_is_refused_with_the_length_or_width_that_would_do(
     length, width, margin, offset, across, up
 ):
     def build(length, width):
-        tile_of(length, width, margin, (-offset, offset), (-across, across), up)
+        tile_of(length, width, margin, (-offset, offset), (-across, across), climb=levels(up=up))
 
     starts_inside = 0.75 - offset >= margin
-    reachable = up * (length - 0.75) <= length - 0.75 - margin + 1e-9
-    room = starts_inside and 0.75 + offset + margin <= length and across + margin <= width / 2 and reachable
+    last = 0.75 + offset
+    reachable = up * (length - last) <= length - last - margin + 1e-9
+    room = starts_inside and last + margin <= length and across + margin <= width / 2 and reachable
     for _ in range(3):
         try:
             build(length, width)
@@ -214,6 +219,14 @@ def test_a_tile_without_room_is_refused_with_the_length_or_width_that_would_do(
             break
     build(length, width)
     assert starts_inside
+
+
+def test_a_level_is_earned_by_the_share_that_levels_ask_for_unless_told_otherwise():
+    usual = parameters_of(TerrainLevels)["up"].default
+    shortest = 0.75 + 0.15 + 0.5 / (1.0 - usual)  # from the furthest start on
+    tile_of(shortest + 0.01, 5.0, 0.5, climb=levels())
+    with pytest.raises(UserError, match=f"for {usual:.0%} of the way and a margin of 0.5 m"):
+        tile_of(shortest - 0.01, 5.0, 0.5, climb=levels())
 
 
 def widest_margin(cfg):
