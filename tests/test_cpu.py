@@ -28,6 +28,17 @@ def test_there_is_at_least_one(monkeypatch: pytest.MonkeyPatch) -> None:
     assert usable_cores() == 1
 
 
+def test_processes_that_were_started_side_by_side_share_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: range(8), raising=False)
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "3")  # as torchrun sets it
+    assert usable_cores() == 2
+    monkeypatch.setenv("HUMOSLOPE_THREADS", "1")
+    assert usable_cores() == 1
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", "16")
+    monkeypatch.setenv("HUMOSLOPE_THREADS", "nonsense")
+    assert usable_cores() == 1
+
+
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """machine(load, cores, threads) sets what the process sees."""

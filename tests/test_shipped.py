@@ -57,6 +57,20 @@ def test_tasks_and_terrains_of_the_working_folder_are_added(tmp_path: Path, monk
     assert listed.stderr.startswith("humoslope: 'tasks/stage1.py' has the name of a file that comes with HumoSlope;")
 
 
+@pytest.mark.parametrize("wrong", ["import celery_that_is_not_there", "raise RuntimeError('no broker')", "exit(3)"])
+def test_a_folder_of_tasks_that_are_no_tasks_is_named_with_the_line_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wrong: str
+) -> None:
+    (tmp_path / "tasks").mkdir()
+    (tmp_path / "tasks" / "mail.py").write_text(f"sent = 0\n{wrong}\n")
+    monkeypatch.chdir(tmp_path)
+    listed = processes.run("list", path=(ROOT / "src",))
+    assert listed.returncode == 2
+    assert listed.stderr.startswith("humoslope: 'tasks/mail.py', line 2: ")
+    assert "work in another one" in listed.stderr
+    assert "Traceback" not in listed.stderr
+
+
 def test_a_copy_of_a_shipped_file_is_no_second_one(tmp_path: Path) -> None:
     own = tmp_path / "tasks"
     own.mkdir()

@@ -12,11 +12,18 @@ SHARE = "HUMOSLOPE_THREADS"
 
 
 def usable_cores() -> int:
-    """Returns the number of logical CPUs that a batch system or `taskset` leaves to this process, or its `SHARE`."""
+    """Returns the number of logical CPUs that a batch system or `taskset` leaves to this process, or its `SHARE`.
+    Processes that torchrun has started side by side have an equal part of them each."""
     # macOS and Windows do not say more than how many there are.
     there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    share = os.environ.get(SHARE, "")
-    return min(there, int(share)) if share.isdecimal() and int(share) else there
+    there = max(there // (_positive("LOCAL_WORLD_SIZE") or 1), 1)
+    return min(there, _positive(SHARE) or there)
+
+
+def _positive(variable: str) -> int:
+    """The positive whole number in an environment variable; 0 if there is none."""
+    text = os.environ.get(variable, "")
+    return int(text) if text.isdecimal() else 0
 
 
 def thread_advice() -> str | None:

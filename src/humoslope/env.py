@@ -470,6 +470,7 @@ class ManagerBasedRlEnv:
         """
         from tensordict import TensorDict
 
+        snapshot.check(state["memory"], *self._remembering(), self.sim.owns)
         self.sim.restore(state["physics"])
         snapshot.put(state["memory"], *self._remembering())
         for name in EPISODES:

@@ -7,6 +7,7 @@ that it puts no packages of such general names beside those of others; `setup.py
 from __future__ import annotations
 
 import sys
+import traceback
 from importlib import import_module
 from pathlib import Path
 
@@ -45,7 +46,7 @@ def load() -> None:
     the working folder, as modules of the same packages.
 
     Raises:
-        UserError: If the working folder has another module of a name that is taken.
+        UserError: If the working folder has another module of a name that is taken, or one that cannot be imported.
     """
     home = root()
     if not (home / "tasks" / "__init__.py").is_file():
@@ -58,8 +59,27 @@ def load() -> None:
         if str(folder) not in package.__path__ and folder.is_dir() and not folder.samefile(home / package.__name__):
             _check_names(home / package.__name__, folder)
             package.__path__.append(str(folder))
-    for package in packages:
-        import_all(package.__name__, package.__path__)
+    for package, folder in zip(packages, own, strict=True):
+        import_all(package.__name__, [path for path in package.__path__ if path != str(folder)])
+    for package, folder in zip(packages, own, strict=True):
+        if str(folder) not in package.__path__:
+            continue
+        try:
+            import_all(package.__name__, [str(folder)])
+        except (Exception, SystemExit) as error:  # whatever a file does that may have nothing to do with HumoSlope
+            if isinstance(error, UserError) or folder.parent == home:
+                raise
+            raise UserError(_unfit(folder, error)) from error
+
+
+def _unfit(own: Path, error: BaseException) -> str:
+    """What went wrong in a file of the working folder, and where."""
+    inside = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).parent == own]
+    where = f"'{own.name}/{Path(inside[-1].filename).name}', line {inside[-1].lineno}" if inside else f"'{own.name}'"
+    return (
+        f"{where}: {type(error).__name__}: {error}; every file in that folder is imported, so that it can register "
+        "something. If the folder has nothing to do with HumoSlope, work in another one."
+    )
 
 
 def _check_names(shipped: Path, own: Path) -> None:

@@ -29,18 +29,27 @@ def take(roots: Mapping[str, object], others: Iterable[object], is_lent: Callabl
         others: Objects that are met on the way and do not belong to them.
         is_lent: True for a tensor whose memory belongs to something else, such as the physics.
     """
-    memory: Memory = {}
+    return {path: _remembered(holder, is_lent) for path, holder in _walk(roots, others)}
+
+
+def check(
+    memory: Memory, roots: Mapping[str, object], others: Iterable[object], is_lent: Callable[[Tensor], bool]
+) -> None:
+    """Checks that a memory is one of objects of this structure: one that other code took may lack what these objects
+    remember, or have it by another name.
+
+    Raises:
+        ValueError: If not.
+    """
+    left = dict(memory)
     for path, holder in _walk(roots, others):
-        memory[path] = {}
-        for name, value in _items(holder):
-            if isinstance(value, Tensor):
-                if not is_lent(value):
-                    memory[path][name] = value.clone()
-            elif value is None or isinstance(value, bool | int | float):
-                memory[path][name] = value
-            elif _is_row(value) and not any(map(is_lent, value)):
-                memory[path][name] = type(value)(tensor.clone() for tensor in value)
-    return memory
+        then, now = left.pop(path, {}), dict(_items(holder))
+        if unknown := then.keys() - now.keys():
+            raise ValueError(f"{path} has no {min(unknown)}")
+        if forgotten := _remembered(holder, is_lent).keys() - then.keys():
+            raise ValueError(f"nothing is known of {path}.{min(forgotten)}")
+    if left:
+        raise ValueError(f"there is no {min(left)}")
 
 
 def size(roots: Mapping[str, object], others: Iterable[object], is_lent: Callable[[Tensor], bool]) -> int:
@@ -54,13 +63,28 @@ def size(roots: Mapping[str, object], others: Iterable[object], is_lent: Callabl
 
 
 def put(memory: Memory, roots: Mapping[str, object], others: Iterable[object]) -> None:
-    """Gives a memory that was taken to objects of the same structure. Its tensors are theirs from then on."""
+    """Gives a memory that was taken to objects of the same structure (see `check`). Its tensors are theirs from then
+    on."""
     for path, holder in _walk(roots, others):
         for name, value in memory.get(path, {}).items():
             if isinstance(holder, dict):
                 holder[name] = value
             else:
                 setattr(holder, name, value)
+
+
+def _remembered(holder: Any, is_lent: Callable[[Tensor], bool]) -> dict[str, Any]:
+    """Copies of what an object remembers, by attribute."""
+    found: dict[str, Any] = {}
+    for name, value in _items(holder):
+        if isinstance(value, Tensor):
+            if not is_lent(value):
+                found[name] = value.clone()
+        elif value is None or isinstance(value, bool | int | float):
+            found[name] = value
+        elif _is_row(value) and not any(map(is_lent, value)):
+            found[name] = type(value)(tensor.clone() for tensor in value)
+    return found
 
 
 def _walk(roots: Mapping[str, object], others: Iterable[object]) -> list[tuple[str, Any]]:

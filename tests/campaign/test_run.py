@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import fcntl
+import itertools
 import json
 import os
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -94,6 +96,65 @@ def test_a_run_folder_that_is_in_use_is_not_removed(tmp_path: Path) -> None:
     assert not disk.in_use(job.folder)
 
 
+@contextmanager
+def holding(folder: Path) -> Iterator[None]:
+    """Keeps a run folder, as a training does."""
+    folder.mkdir(parents=True)
+    handle = os.open(folder, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+def test_others_run_while_a_folder_is_held_and_it_is_taken_when_it_is_free(
+    tmp_path: Path, humoslope: Humoslope
+) -> None:
+    made, events = plan(tmp_path), []
+    first, last = made.jobs["stage1/seed1 training"], "full/seed2 track"  # of all that does not need the first one
+    with ExitStack() as stack:
+        stack.enter_context(holding(first.folder))
+
+        def show(event: str) -> None:
+            events.append(event)
+            if event == f"done: {last}":
+                stack.close()
+
+        state = Run(made)
+        assert run(state, 1, 1, show, humoslope) == 0
+    assert set(state.states.values()) == {"done"}
+    assert events.index(f"begins: {last}") < events.index(f"begins: {first.name}")
+
+
+def test_a_folder_that_stays_held_is_left_to_the_training_to_complain_of(tmp_path: Path, humoslope: Humoslope) -> None:
+    made = plan(tmp_path)
+    first, times = made.jobs["stage1/seed1 training"], itertools.count(0.0, 7.0)
+    humoslope.fails.add(str(first.folder))
+    state = Run(made)
+    with holding(first.folder):
+        run(state, 1, 1, start=humoslope, clock=lambda: next(times))
+    assert ["train", *first.words] in humoslope.ran
+    assert state.reasons[first.name] == "exit code 2: it cannot walk."
+
+
+def test_a_campaign_that_waits_for_a_folder_hears_a_signal(tmp_path: Path, humoslope: Humoslope) -> None:
+    made = plan(tmp_path, SMALL.replace("seeds = [1, 2]", "seeds = [1]"))
+    looks = itertools.count()
+
+    def show(event: str) -> None:
+        if next(looks) == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with holding(made.jobs["stage1/seed1 training"].folder):
+            assert run(Run(made), 1, 1, show, humoslope) == signal.SIGTERM
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert humoslope.ran == []
+
+
 @pytest.mark.parametrize("damage", ["{", "[]", '{"checkpoints": []}', ""])
 def test_a_damaged_result_is_made_anew(tmp_path: Path, humoslope: Humoslope, damage: str) -> None:
     finish(tmp_path, humoslope)
@@ -174,6 +235,11 @@ def test_a_table_does_not_mix_options(tmp_path: Path, humoslope: Humoslope, befo
         disk.check_begun(plan(tmp_path, text.replace(before, after)))
     assert said in str(caught.value)
     assert "choose another folder with --out." in str(caught.value)
+
+
+def test_videos_of_a_training_may_be_asked_for_later(tmp_path: Path, humoslope: Humoslope) -> None:
+    finish(tmp_path, humoslope)
+    disk.check_begun(plan(tmp_path, SMALL.replace("--env.num-envs 16", "--env.num-envs 16 --video-every 50")))
 
 
 def test_what_a_calibration_has_set_is_no_change(tmp_path: Path, humoslope: Humoslope) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from humoslope.errors import UserError
 from humoslope.learning import run_folder
-from humoslope.learning.run_folder import claimed, record_start, saved_options
+from humoslope.learning.run_folder import claimed, find_run, record_start, saved_options, tee
 from humoslope.registry import build_task
 from humoslope.seal import SUMS
 
@@ -88,3 +88,20 @@ def test_a_record_of_a_start_that_was_changed_is_not_believed(tmp_path):
         saved_options(tmp_path)
     (tmp_path / "starts" / "1" / SUMS).unlink()
     assert saved_options(tmp_path) == ["--env.seed", "2"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a file on which no room is left")
+def test_a_full_disk_takes_the_text_on_the_terminal_nowhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "console.log").symlink_to("/dev/full")
+    with tee(tmp_path / "console.log") as console:
+        console.print("first")
+        console.print("second")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("console.log cannot be written (No space left on device); training goes on without it.")
+    assert lines[1:] == ["first", "second"]
+
+
+def test_a_checkpoint_in_place_of_a_run_folder_is_told_what_takes_it(tmp_path: Path) -> None:
+    (tmp_path / "model_3.pt").touch()
+    with pytest.raises(UserError, match=r"model_3.pt' is a file; --resume takes the folder .* with --init\.$"):
+        find_run("Walk", str(tmp_path / "model_3.pt"))

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from humoslope.campaign import disk
-from humoslope.campaign.plan import CALIBRATE, TRAIN, Job
+from humoslope.campaign.file import CALIBRATE, TRAIN
+from humoslope.campaign.plan import Job
 from humoslope.campaign.run import Run
 
 EVALUATION_SPEED = 0.37

@@ -19,13 +19,13 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from humoslope.campaign.file import OWN_OF_TRAINING, Campaign
-from humoslope.campaign.plan import CALIBRATE, TRAIN, Job, Plan
+from humoslope.campaign.file import CALIBRATE, OWN_OF_TRAINING, TRAIN, Campaign
+from humoslope.campaign.plan import Job, Plan
 from humoslope.errors import UserError
 from humoslope.evaluation.report.results import CAMPAIGN
 from humoslope.files import is_locked, write_bytes
 from humoslope.learning.logger import read_line
-from humoslope.learning.run_folder import saved_options, start_of
+from humoslope.learning.run_folder import LOOKING, saved_options, start_of
 from humoslope.seal import read_json
 from humoslope.words import option_groups
 
@@ -150,7 +150,7 @@ def _change(job: Job) -> str:
         return f"was begun with {' '.join(then['--preset'])}"
     theirs = f"--env.rewards.{job.scale.calibrated.replace('_', '-')}.params."
     for name in {**then, **now}:
-        if name in OWN_OF_TRAINING and name != "--env.seed":
+        if name in LOOKING or (name in OWN_OF_TRAINING and name != "--env.seed"):
             continue
         if name not in now and job.scale.calibrated and name.startswith(theirs):
             continue  # set by the calibration

@@ -46,6 +46,13 @@ PRESETS = ("auto", "cpu", "gpu")
 PRIOR = "prior"
 """In place of a calibration's path: the values that the task's configuration has."""
 
+TRAIN, CALIBRATE = "training", "calibration"
+"""Columns of jobs that are no evaluations."""
+TAKEN = (TRAIN, CALIBRATE, "starts", "diverged", "videos")
+"""Names that an evaluation cannot have: those of columns, and of what else lies in a run folder."""
+WATCHING = ("--watch", "--watch-worlds", "--web-port", "--port")
+"""Options of a training that show it live: several would share one port, and nobody reads their address."""
+
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 OWN_OF_TRAINING = {
     "--env.seed": "'seeds'",
@@ -57,6 +64,7 @@ OWN_OF_TRAINING = {
     "--resume": "the campaign",
 }
 """Options that a row must not have, and what sets them."""
+OWN_OF_TRAINING |= dict.fromkeys(WATCHING, "only a training that you start yourself")
 OWN_OF_EVALUATION = {"--out": "the campaign", "--sweep": "'kind'", "--fresh": "the campaign"}
 
 
@@ -206,6 +214,10 @@ class _Reader:
 
     def _evaluation(self, name: str, table: Mapping[str, Any], rows: Mapping[str, Training]) -> Evaluation:
         at = f"evaluate.{name}"
+        if name in TAKEN:
+            raise self.mistake(
+                at, f"cannot have this name, which something else in a run folder has: {', '.join(TAKEN)}"
+            )
         self._know(table, at, ("kind", "of", "grades", "trials", "options"))
         kind = self._text(table, at, "kind")
         if kind not in KINDS:

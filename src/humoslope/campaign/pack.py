@@ -12,7 +12,8 @@ from pathlib import Path
 import torch
 
 from humoslope.campaign import disk
-from humoslope.campaign.plan import TRAIN, Job, Plan
+from humoslope.campaign.file import TRAIN
+from humoslope.campaign.plan import Job, Plan
 from humoslope.errors import UserError
 from humoslope.evaluation.report.curve import CURVE, read_curves, write_table
 from humoslope.evaluation.report.results import CAMPAIGN

@@ -13,11 +13,8 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Literal
 
-from humoslope.campaign.file import PRIOR, Campaign, Evaluation, Training
+from humoslope.campaign.file import CALIBRATE, PRIOR, TRAIN, Campaign, Evaluation, Training
 from humoslope.errors import UserError
-
-TRAIN, CALIBRATE = "training", "calibration"
-"""Columns of jobs that are no evaluations."""
 
 
 @dataclass(frozen=True)

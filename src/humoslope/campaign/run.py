@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import IO, Literal, Protocol
 
 from humoslope.campaign import disk
-from humoslope.campaign.plan import TRAIN, Job, Plan
+from humoslope.campaign.file import TRAIN
+from humoslope.campaign.plan import Job, Plan
 from humoslope.cpu import SHARE
 from humoslope.errors import UserError
 from humoslope.interrupts import deferred_interrupts
@@ -127,6 +128,7 @@ def run(
         jobs, which save; a second one that is Ctrl-C ends them at once.
     """
     running: dict[str, _Running] = {}
+    held_since: dict[str, float] = {}  # trainings whose folder another one has
     forwarded = False
     try:
         with deferred_interrupts(second_raises=True) as interrupt:
@@ -142,14 +144,18 @@ def run(
                             child.process.send_signal(interrupt.number)
                     show("Stopping; running jobs save their state. Ctrl-C once more stops at once, without saving.")
                 if not interrupt.requested:
-                    for job in run.ready()[: jobs - len(running)]:
+                    for job in run.ready():
+                        if len(running) == jobs:
+                            break
+                        if _is_held(job) and clock() - held_since.setdefault(job.name, clock()) < PATIENCE_S:
+                            continue
                         try:
                             running[job.name] = _begun(run, job, threads, start, clock)
                             show(f"begins: {job.name}")
                         except UserError as error:  # other jobs go on
                             run.fail(job, str(error))
                             show(f"failed: {job.name}: {error}")
-                if not running:
+                if not running and (interrupt.requested or not run.ready()):
                     return interrupt.number if interrupt.requested else 0
                 show("")
                 time.sleep(POLL_S)
@@ -168,11 +174,13 @@ class _Running:
     log_path: Path
 
 
+def _is_held(job: Job) -> bool:
+    """True if a training has the folder that this one is to have: one of a campaign that was killed may still save."""
+    return job.column == TRAIN and disk.in_use(job.folder)
+
+
 def _begun(run: Run, job: Job, threads: int, start: Launch, clock: Callable[[], float]) -> _Running:
     if job.column == TRAIN:
-        until = clock() + PATIENCE_S
-        while disk.in_use(job.folder) and clock() < until:
-            time.sleep(POLL_S)
         disk.clear_abandoned(job.folder)
     path = log_path(run.plan, job)
     path.parent.mkdir(parents=True, exist_ok=True)

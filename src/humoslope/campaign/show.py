@@ -11,7 +11,8 @@ from rich.live import Live
 from rich.table import Table
 
 from humoslope.campaign.cost import Cost, Estimate
-from humoslope.campaign.plan import CALIBRATE, TRAIN, Job, Plan
+from humoslope.campaign.file import CALIBRATE, TRAIN
+from humoslope.campaign.plan import Job, Plan
 from humoslope.campaign.run import Run, State
 
 REFRESH_S = 4.0

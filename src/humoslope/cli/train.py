@@ -21,15 +21,13 @@ from humoslope.learning.configuration import departures, trained_cfg
 from humoslope.learning.distributed import choose_device, process_group, read_processes, wait_for_all
 from humoslope.learning.policy import spec_of
 from humoslope.learning.rng import seed_everything
-from humoslope.learning.run_folder import claimed, find_run, record_start, tee
+from humoslope.learning.run_folder import LOOKING, claimed, find_run, record_start, tee
 from humoslope.learning.trainer import Trainer
 from humoslope.learning.videos import IntervalVideos
 from humoslope.presets import Preset
 from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
 from humoslope.words import merge_options, option_groups
 
-LOOKING = ("--watch", "--no-watch", "--watch-worlds", "--web-port", "--port", "--video-every")
-"""Options that let somebody look on, and change nothing in the training."""
 ONCE = ("--resume", "--run-dir", "--init", "--calibration", *LOOKING)
 """Options of a single start, which are not recorded as options of the run."""
 

@@ -6,11 +6,15 @@ import re
 import time
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 
-from humoslope.learning.config import AgentCfg
+from humoslope.errors import UserError
+from humoslope.provenance import plain
+
+if TYPE_CHECKING:
+    from humoslope.registry import TaskCfg
 
 SHOWN = {
     "reward": "Train/reward",
@@ -29,17 +33,19 @@ class CurveWriter:
 
     Args:
         folder: Folder of the event files; None writes nothing.
+        cfg: Configuration of the run; Weights & Biases gets it too.
+
+    Raises:
+        UserError: If Weights & Biases refuses, as without a login.
     """
 
-    def __init__(self, folder: Path | None, agent: AgentCfg) -> None:
+    def __init__(self, folder: Path | None, cfg: TaskCfg) -> None:
         self._folder = folder
         self._writer: Any = None
         if folder is None:
             return
-        if agent.logger == "wandb":
-            from rsl_rl.utils.wandb_log_writer import WandbLogWriter
-
-            self._writer = WandbLogWriter(str(folder), agent.wandb_project)
+        if cfg.agent.logger == "wandb":
+            self._writer = _wandb_writer(folder, cfg)
         else:
             self.renew()
 
@@ -72,6 +78,21 @@ class CurveWriter:
             self._writer.close()
             if hasattr(self._writer, "stop"):
                 self._writer.stop()
+
+
+def _wandb_writer(folder: Path, cfg: TaskCfg) -> Any:
+    import wandb
+    from rsl_rl.utils.wandb_log_writer import WandbLogWriter
+
+    try:
+        writer = WandbLogWriter(str(folder), cfg.agent.wandb_project)
+    except Exception as error:  # of wandb's own kinds
+        said = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
+        raise UserError(
+            f"Weights & Biases does not begin: {said}; log in with 'wandb login', or set WANDB_MODE=offline."
+        ) from None
+    wandb.config.update({"env": plain(cfg.env), "agent": plain(cfg.agent)})
+    return writer
 
 
 class ProgressLine:

@@ -16,7 +16,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
@@ -31,6 +31,10 @@ from humoslope.seal import check_sums, write_sums
 
 if TYPE_CHECKING:
     from humoslope.registry import TaskCfg
+
+
+LOOKING = ("--watch", "--no-watch", "--watch-worlds", "--web-port", "--port", "--video-every")
+"""Options that let somebody look on, change nothing in a training, and are not recorded."""
 
 
 @contextmanager
@@ -160,6 +164,11 @@ def find_run(task: str, which: str) -> Path:
     """
     if which != "latest":
         path = Path(which)
+        if path.is_file():
+            raise UserError(
+                f"'{path}' is a file; --resume takes the folder of a run, whose newest checkpoint goes on. A new run "
+                "takes its actor from an older one with --init."
+            )
         if not path.is_dir():
             raise UserError(f"run folder '{path}' does not exist.")
         return path
@@ -180,6 +189,7 @@ class _Both:
     def __init__(self, terminal: IO[str] | None, path: Path) -> None:
         self._terminal, self._path = terminal, path
         self._file: IO[str] | None = None
+        self._is_full = False  # the disk, or whatever else keeps the file from being written
 
     def write(self, text: str) -> int:
         self._write_file(text)
@@ -187,18 +197,27 @@ class _Both:
         return len(text)
 
     def flush(self) -> None:
-        self._with_terminal(lambda terminal: terminal.flush())
-        if self._file is not None:
-            self._file.flush()
+        self._with_terminal(lambda terminal: terminal.flush())  # the file is written line by line
 
     def _write_file(self, text: str) -> None:
-        if self._file is not None and not self._path.exists():  # the folder was removed
-            self._file.close()
+        if self._is_full:
+            return
+        try:
+            if self._file is not None and not self._path.exists():  # the folder was removed
+                self._file.close()
+                self._file = None
+            if self._file is None:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = self._path.open("a", encoding="utf-8", buffering=1)  # a full disk shows at once
+            self._file.write(text)
+        except OSError as error:
+            self._is_full = True
+            with suppress(OSError):  # closing writes what is left
+                if self._file is not None:
+                    self._file.close()
             self._file = None
-        if self._file is None:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self._path.open("a", encoding="utf-8")
-        self._file.write(text)
+            said = f"{self._path} cannot be written ({error.strerror}); training goes on without it.\n"
+            self._with_terminal(lambda terminal: terminal.write(said))
 
     def _with_terminal(self, act: Callable[[IO[str]], object]) -> None:
         """Writes to the terminal as long as there is one: a pipe that was closed is no reason to end a training."""

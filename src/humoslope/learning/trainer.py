@@ -113,7 +113,7 @@ class Trainer:
         if not self._goes_on:
             self.start_episodes()
         self._report_learner()
-        curves = CurveWriter(self.run_dir, self.cfg.agent)
+        curves = CurveWriter(self.run_dir, self.cfg)
         line = ProgressLine(self._console, first, last)
         try:
             with deferred_interrupts(self._say_stop, second_raises=True) as interrupt:
