@@ -42,7 +42,7 @@ DEVIATIONS = {
     "arm": (".*_(shoulder_pitch|elbow)_joint", 0.5),
     "wrist": (".*_wrist_.*", 1.0),
 }
-"""Joints that shall stay close to the default pose, and the price of a squared distance, 1/(s rad^2)."""
+"""Joints that should stay close to the default pose, and the price of a squared distance, 1/(s rad^2)."""
 
 
 def observation_groups() -> Terms[ObservationGroupCfg]:

@@ -151,7 +151,7 @@ FINE = ("track_velocity_finely", "track_turns")
 """Rewards for following commands closely, which grow as the harness goes and commands vary."""
 
 STRICT = ("knee_flexion", "foot_clearance", "action_acc", "landings")
-"""Rewards that count when the harness is gone: a robot shall first of all find out that it can walk."""
+"""Rewards that count when the harness is gone: a robot must first of all find out that it can walk."""
 
 
 def harness_curriculum() -> TermCfg:

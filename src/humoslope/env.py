@@ -119,6 +119,7 @@ class EnvCfg(StrictCfg):
         terminations: Reasons to end an episode.
         events: Randomisation, resets and disturbances.
         curriculum: Curricula.
+        observers: What measures and records, and changes nothing.
     """
 
     scene: SceneCfg

@@ -192,7 +192,7 @@ def _term(where: str, name: str, cfg: ObservationTermCfg, env: ManagerBasedRlEnv
     if quantity is None:
         raise UserError(
             f"observation '{where}': {function} does not say what it measures, so a contract could not describe it; "
-            f"declare it with @measured_as, as '{CUSTOM}' if no player but your own shall compute it."
+            f"declare it with @measured_as, as '{CUSTOM}' if only your own player computes it."
         )
     common = {"name": name, "quantity": quantity, "scale": cfg.scale, "training_noise": cfg.noise if noisy else 0.0}
     if quantity == CUSTOM:

@@ -48,7 +48,7 @@ class Learner(Protocol):
     Attributes:
         spec: The network that acts, so that a checkpoint can rebuild it without the learner.
         policy: That network: a module from observations to the deterministic action [N, J], with its normaliser.
-        wants_terminal_obs: Whether transitions shall hold the observations at which episodes ended.
+        wants_terminal_obs: Whether transitions hold the observations at which episodes ended.
     """
 
     spec: PolicySpec

@@ -153,7 +153,7 @@ def _lean(gravity_b: Tensor, backward: float, aside: float) -> Tensor:
 
 
 def pelvis_lean(env: Env, backward: Positive = 10.0, aside: Positive = 5.0) -> Tensor:
-    """Squared sines of the root's lean from the vertical, some directions before squaring dearer than others.
+    """Squared sines of the root's lean from the vertical, some directions before squaring weighing more than others.
 
     Args:
         backward: Factor on a lean backward.

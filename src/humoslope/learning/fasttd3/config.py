@@ -74,7 +74,7 @@ class FastTd3Cfg(AgentCfg):
     exploration_std: NotNegativeSpan = (0.001, 0.3)
     target_noise: NotNegative = 0.001
     target_noise_clip: Share = 0.5
-    # More than any memory holds, so that who asks for too much reads how many fit.
+    # More than any memory holds, so that a user who asks for too much reads how many fit.
     buffer_steps: Annotated[int, Range(1, 1_000_000_000)] = 1024
     learning_starts: Count = 10
     refill_steps: Annotated[int, Range(0)] = 500

@@ -12,6 +12,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from humoslope.deploy import rotation
 from humoslope.replay.film.follow import follow
 from humoslope.replay.rerun import colours
 from humoslope.replay.rerun.colours import Colour
@@ -218,8 +219,7 @@ def mesh(shape: Shape) -> rr.Mesh3D:
 
 def _along(normal: Array, root_quat: Array) -> tuple[Array, Array, Array]:
     """Returns unit vectors [T, 3] of planes with these normals: along the heading, to the left, out of the plane."""
-    w, x, y, z = root_quat.T
-    heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y**2 + z**2))
+    heading = rotation.yaw(root_quat)
     level = np.stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)], axis=1)
     left = np.cross(normal, level)
     left /= np.linalg.norm(left, axis=1, keepdims=True)

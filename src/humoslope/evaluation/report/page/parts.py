@@ -227,7 +227,7 @@ ABSENT = "absent"
 def differing(policies: Sequence[Policy]) -> dict[str, list[Any]]:
     """Fields in which a policy differs from today's task, or policies from each other: path -> default, then each one.
 
-    The value of who has no configuration is None. The default is that of the first policy's task.
+    The value of a policy without a configuration is None. The default is that of the first policy's task.
     """
     columns = [policies[0].default, *(policy.config for policy in policies)]
     there = [column for column in columns if column is not None]
