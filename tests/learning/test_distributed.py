@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import torch.distributed as dist
 
 from humoslope.errors import UserError
 from humoslope.evaluation.report.curve import read_curves
@@ -141,6 +142,29 @@ def test_each_process_takes_the_gpu_of_its_local_rank_if_there_is_one(monkeypatc
 def test_a_single_process_agrees_with_itself():
     assert any_process((True, False), torch.device("cpu")) == (True, False)
     assert torch.equal(mean_over_processes(torch.tensor(3.0)), torch.tensor(3.0))
+
+
+@pytest.fixture
+def three_processes(monkeypatch):
+    """A group of three, whose two others have these values to be summed, and these flags."""
+    others = {dist.ReduceOp.SUM: torch.tensor([4.0, 10.0]), dist.ReduceOp.MAX: torch.tensor([0.0, 1.0])}
+
+    def all_reduce(values, op):
+        both = torch.add if op == dist.ReduceOp.SUM else torch.maximum
+        values.copy_(both(values, others[op]))
+
+    monkeypatch.setattr(dist, "is_initialized", lambda: True)
+    monkeypatch.setattr(dist, "get_world_size", lambda: 3)
+    monkeypatch.setattr(dist, "all_reduce", all_reduce)
+
+
+@pytest.mark.usefixtures("three_processes")
+def test_processes_share_the_mean_of_a_value_and_any_flag():
+    own = torch.tensor([2.0, -1.0])
+    assert mean_over_processes(own).tolist() == [2.0, 3.0]
+    assert own.tolist() == [2.0, -1.0]
+    assert any_process((True, False), torch.device("cpu")) == (True, True)
+    assert any_process((False, False), torch.device("cpu")) == (False, True)
 
 
 def test_physics_warnings_of_every_process_are_heard(on_shared_env, monkeypatch, capsys):

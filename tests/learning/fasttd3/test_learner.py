@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from humoslope.check.host_sync import NoHostSync
 from humoslope.errors import UserError
+from humoslope.learning.fasttd3 import learner as fasttd3_learner
 from humoslope.learning.fasttd3.config import FastTd3Cfg
 from humoslope.learning.fasttd3.learner import FastTd3, _half_mirrored
 from humoslope.learning.learner import Transition
@@ -226,6 +228,15 @@ def test_neither_steps_nor_updates_wait_for_the_device() -> None:
             learner._update_once()
 
 
+@contextmanager
+def group_of_one() -> Iterator[None]:
+    torch.distributed.init_process_group("gloo", store=torch.distributed.HashStore(), rank=0, world_size=1)
+    try:
+        yield
+    finally:
+        torch.distributed.destroy_process_group()
+
+
 def test_processes_learn_with_the_mean_of_their_gradients() -> None:
     """In a group of one, what they do to share weights, means and gradients must change nothing."""
     weights = []
@@ -233,19 +244,34 @@ def test_processes_learn_with_the_mean_of_their_gradients() -> None:
         torch.manual_seed(0)
         world = Wheel()
         learner = FastTd3(world, small())
-        if size:
-            torch.distributed.init_process_group("gloo", store=torch.distributed.HashStore(), rank=0, world_size=1)
-        try:
+        with group_of_one() if size else nullcontext():
             if size:
                 learner.synchronise()
             drive(learner, world, 3)
-        finally:
-            if size:
-                torch.distributed.destroy_process_group()
         weights.append(
             torch.cat([p.detach().flatten() for p in (*learner.policy.parameters(), *learner.critics.parameters())])
         )
     assert torch.allclose(*weights, atol=1e-3)
+
+
+def test_every_gradient_is_shared_and_every_weight_comes_from_the_first_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where the mean of all gradients is 0 nothing moves, whatever this process has found."""
+    torch.manual_seed(0)
+    world = Wheel()
+    learner = FastTd3(world, small(learning_starts=8, num_steps_per_env=8, num_updates=1))
+    before = [copy.deepcopy(network.state_dict()) for network in (learner.policy.mlp, learner.critics)]
+    sent: list[int] = []
+    monkeypatch.setattr(torch.distributed, "broadcast", lambda tensor, src: sent.append(tensor.data_ptr()))
+    monkeypatch.setattr(fasttd3_learner, "mean_over_processes", torch.zeros_like)
+    with group_of_one():
+        drive(learner, world, 1)
+    for network, state in zip((learner.policy.mlp, learner.critics), before, strict=True):
+        assert all(torch.equal(value, state[name]) for name, value in network.state_dict().items())
+    learner.synchronise()
+    networks = (learner.policy, learner.critics, learner.targets, learner.normalizer)
+    assert sent == [tensor.data_ptr() for network in networks for tensor in network.state_dict().values()]
 
 
 def test_half_of_a_batch_is_mirrored(make_stage1: Callable[..., Any]) -> None:
