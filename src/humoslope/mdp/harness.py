@@ -32,6 +32,7 @@ class Harness(StatefulTerm):
 
     Attributes:
         scale: Present strength, in [0, 1].
+        standing_scale: Strength in envs that are commanded to stand, in [0, 1]; None for that of all.
         strictness: How much is asked for beyond walking, in [0, 1]; it grows when the harness is gone.
 
     Args:
@@ -55,6 +56,7 @@ class Harness(StatefulTerm):
             raise UserError(f"harness: scale {scale} must be between 0 and 1.")
         require_not_negative("harness", support=support, stiffness=stiffness, damping=damping)
         self.scale = torch.tensor(scale, device=env.device)
+        self.standing_scale: Tensor | None = None
         self.strictness = torch.zeros((), device=env.device)
         self._env = env
         self._lift = support * env.robot.total_mass * zmp.GRAVITY  # N
@@ -82,22 +84,27 @@ class Harness(StatefulTerm):
         return 1.0 - self.scale
 
     def __call__(self, env: Env, mask: Tensor) -> None:
-        signals = env.signals
+        signals, scale = env.signals, self.scale
+        if self.standing_scale is not None:
+            scale = torch.where(env.commands.moving, scale, self.standing_scale)[:, None]  # [N, 1]
         torso_up_w = quaternion.matrix(signals.torso_quat_w)[:, :, 2]
-        self._write(self._wrench, torso_up_w, signals.torso_ang_vel_w)
+        self._write(self._wrench, torso_up_w, signals.torso_ang_vel_w, scale)
 
     def reset(self, mask: Tensor) -> None:
         """Writes the wrench for the start of an episode into `env.start_wrench`."""
+        scale = self.scale
+        if self.standing_scale is not None:  # commands are drawn after the start
+            scale = torch.maximum(scale, self.standing_scale)
         torso_up_w, ang_vel_w = self._chain(self._env.start_qpos, self._env.start_qvel)
-        self._write(self._env.start_wrench, torso_up_w, ang_vel_w)
+        self._write(self._env.start_wrench, torso_up_w, ang_vel_w, scale)
 
-    def _write(self, wrench: Tensor, torso_up_w: Tensor, torso_ang_vel_w: Tensor) -> None:
-        """Writes the wrenches on root and torso into `wrench` [N, bodies, 6]."""
+    def _write(self, wrench: Tensor, torso_up_w: Tensor, torso_ang_vel_w: Tensor, scale: Tensor) -> None:
+        """Writes the wrenches on root and torso, by `scale` (a scalar or [N, 1]), into `wrench` [N, bodies, 6]."""
         root, torso = self._bodies
         uprighting = self._stiffness * torch.linalg.cross(torso_up_w, self._up)
         torque = torch.sub(uprighting, torso_ang_vel_w, alpha=self._damping)
-        wrench[:, root, 2].copy_(self._lift * self.scale)
-        wrench[:, torso, 3:5].copy_(torque[:, :2] * self.scale)
+        wrench[:, root, 2:3].copy_(self._lift * scale)
+        wrench[:, torso, 3:5].copy_(torque[:, :2] * scale)
 
 
 class _Chain:
@@ -225,6 +232,73 @@ class HarnessCurriculum(CurriculumTerm):
         """Withdraws the harness of all processes alike, by their mean fall rate and speed."""
         self._falls, self._speed = mean(self._falls), mean(self._speed)
         self._harness.scale, self._harness.strictness = mean(self._harness.scale), mean(self._harness.strictness)
+
+
+class StandingHarnessCurriculum(CurriculumTerm):
+    """Curriculum: robots that are commanded to stand lose the harness by how they stand, not by how the others walk.
+
+    To stand unaided is another skill than to walk. A robot that walks unaided and is commanded to stand, but cannot,
+    marches on the spot instead: it does not fall, and never learns it.
+
+    Attributes:
+        scale: Present scale of the harness in envs that are commanded to stand.
+
+    Args:
+        event: Name of the `Harness` event.
+        rate: Scale withdrawn per second of training time in one env.
+        falls_per_second: Falls per standing env and second from which the harness is left as it is.
+        still_share: Share of the time with both feet on the ground up to which it is left as it is.
+        memory_s: Time over which both are averaged, s.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        event: str = "harness",
+        rate: NotNegative = 0.0083,
+        falls_per_second: NotNegative = 0.06,
+        still_share: Share = 0.6,
+        memory_s: Positive = 10.0,
+    ) -> None:
+        self._harness, self._rate = Harness.of(env, event), rate
+        self._set(self._harness.scale)
+        self._most_falls, self._least_still = falls_per_second, still_share
+        self._keep = max(0.0, 1.0 - env.step_dt / memory_s)
+        # Starts as if every robot fell and none stood: nothing is withdrawn before they have proven themselves.
+        self._falls = torch.ones((), device=env.device)  # per second
+        self._still = torch.zeros((), device=env.device)  # share of the time
+
+    def step(self, env: Env) -> Tensor:
+        """Withdraws a little where it is deserved; returns the scale."""
+        standing = ~env.commands.moving
+        count = standing.sum()
+        falls = (env.terminations.terminated & standing).sum() / (count * env.step_dt)
+        still = (env.signals.foot_contact.all(dim=1) & standing).sum() / count
+        # Where nobody is commanded to stand, nothing is learnt about it.
+        self._falls = torch.where(count > 0, torch.lerp(falls, self._falls, self._keep), self._falls)
+        self._still = torch.where(count > 0, torch.lerp(still, self._still, self._keep), self._still)
+        deserved = (count > 0) & (self._falls < self._most_falls) & (self._still > self._least_still)
+        self._set((self.scale - self._rate * env.step_dt * deserved).clamp(min=0.0))
+        env.log.add("Train/stand_still", self._still)
+        return self.scale
+
+    def _set(self, scale: Tensor) -> None:
+        self.scale = self._harness.standing_scale = scale
+
+    def state_dict(self) -> dict[str, Any]:
+        """Scale, fall rate and share of the time with both feet down."""
+        return {"scale": self.scale.item(), "falls": self._falls.item(), "still": self._still.item()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores the result of `state_dict`."""
+        device = self._falls.device
+        self._set(torch.tensor(state["scale"], device=device))
+        self._falls, self._still = (torch.tensor(state[name], device=device) for name in ("falls", "still"))
+
+    def average(self, mean: Callable[[Tensor], Tensor]) -> None:
+        """Withdraws the harness of all processes alike, by their means."""
+        self._falls, self._still = mean(self._falls), mean(self._still)
+        self._set(mean(self.scale))
 
 
 class StrengthenRewards(CurriculumTerm):
