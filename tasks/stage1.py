@@ -138,7 +138,7 @@ def all_directions(**changes: Any) -> VelocityCommandCfg:
     """Commands to walk forward, and on hillsides backward, to the sides and turning in place too; and to stand."""
     return VelocityCommandCfg(
         yaw_rate=(-0.6, 0.6),
-        standing_share=0.15,
+        standing_share=0.2,
         resample_s=(4.0, 10.0),
         modes={"forward": 0.4, "backward": 0.2, "sideways": 0.2, "turning": 0.2},
         backward=(0.2, 0.5),

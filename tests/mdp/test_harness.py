@@ -15,7 +15,13 @@ from scipy.spatial.transform import Rotation
 from humoslope.errors import UserError
 from humoslope.managers import TermCfg, Terms
 from humoslope.managers.terms import bind
-from humoslope.mdp.harness import Harness, HarnessCurriculum, StrengthenRewards, VaryCommands
+from humoslope.mdp.harness import (
+    Harness,
+    HarnessCurriculum,
+    StandingHarnessCurriculum,
+    StrengthenRewards,
+    VaryCommands,
+)
 
 WEIGHT = 33.0 * 9.81
 EVERYWHERE = torch.tensor([True])
@@ -319,6 +325,96 @@ def test_strictness_bears_more_falls_than_the_harness_but_no_standing(withdrawal
     assert grown(falls_unaided=1.01 * every_env) == pytest.approx(10 * 0.05 * withdrawal.env.step_dt, rel=1e-3)
     withdrawal(10, share=0.5)
     assert harness.strictness.item() == pytest.approx(10 * 0.05 * withdrawal.env.step_dt, rel=1e-3)
+
+
+# Withdrawal from robots that stand
+
+
+@pytest.fixture
+def standers(bare):
+    """standers(steps, falling, still): the scale after so many steps in which the first two of four robots are
+    commanded to stand: one falls, or both have both feet on the ground. The others do the opposite."""
+    env = bare(4, commands=SimpleNamespace(moving=torch.tensor([False, False, True, True])))
+    env.events = {"harness": Harness(env), "push": lambda env, mask: None}
+
+    def stand(steps, falling=False, still=True):
+        env.terminations = SimpleNamespace(terminated=torch.tensor([falling, False, not falling, not falling]))
+        feet = torch.tensor([[True, still], [True, still], [not still] * 2, [not still] * 2])
+        env.signals = SimpleNamespace(foot_contact=feet)
+        for _ in range(steps):
+            scale = stand.term.step(env)
+        assert scale is stand.term.scale
+        assert scale is env.events["harness"].standing_scale
+        return scale.item()
+
+    stand.env = env
+    stand.make = lambda **params: StandingHarnessCurriculum(env, **{"rate": 0.01, "memory_s": 1.0, **params})
+    stand.term = stand.make()
+    return stand
+
+
+def test_robots_that_stand_lose_it_at_its_rate_however_the_others_fall_and_step(standers):
+    assert standers(20) == 1.0
+    before = standers(400)
+    assert 0.0 < before < 1.0
+    assert standers(500) == pytest.approx(before - 0.01 * 10.0, abs=1e-4)
+    assert standers(10_000) == 0.0
+    assert standers.env.events["harness"].scale == 1.0
+
+
+@pytest.mark.parametrize("wrong", [{"falling": True}, {"still": False}])
+def test_robots_that_fall_or_step_keep_it(standers, wrong):
+    assert standers(1000, **wrong) == 1.0
+    standers(1000)
+    standers(100, **wrong)
+    held = standers(1, **wrong)
+    assert 0.0 < held < 1.0
+    assert standers(500, **wrong) == held
+
+
+def test_nothing_is_learnt_of_standing_while_nobody_is_asked_to(standers):
+    standers(400)
+    before = standers.term.state_dict()
+    standers.env.commands.moving = torch.ones(4, dtype=torch.bool)
+    standers(50, falling=True, still=False)
+    assert standers.term.state_dict() == before
+
+
+def test_withdrawal_from_standing_robots_goes_on_where_its_state_was_taken_and_is_shared(standers):
+    standers(700)
+    state = standers.term.state_dict()
+    assert all(isinstance(value, float) for value in state.values())
+    expected = [standers(1) for _ in range(5)]
+    standers.env.events["harness"] = Harness(standers.env)
+    standers.term = standers.make()
+    standers.term.load_state_dict(state)
+    assert [standers(1) for _ in range(5)] == pytest.approx(expected, abs=1e-6)
+    mine, other = standers.term.state_dict(), iter([0.4, 0.2, 0.1])  # falls, still and scale in the other process
+    standers.term.average(lambda value: 0.5 * (value + next(other)))
+    assert standers.term.state_dict() == pytest.approx(
+        {
+            "falls": 0.5 * (mine["falls"] + 0.4),
+            "still": 0.5 * (mine["still"] + 0.2),
+            "scale": 0.5 * (mine["scale"] + 0.1),
+        }
+    )
+    assert standers.env.events["harness"].standing_scale is standers.term.scale
+
+
+def test_each_robot_is_held_by_what_it_is_asked_to_do_and_from_the_start_by_the_stronger(bare, bodies, g1):
+    env = bare(2, commands=SimpleNamespace(moving=torch.tensor([True, False])))
+    lying = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(2, 1)
+    env.signals = SimpleNamespace(torso_quat_w=lying, torso_ang_vel_w=torch.ones(2, 3))
+    harness = Harness(env, damping=10.0)
+    harness.scale, harness.standing_scale = torch.tensor(0.25), torch.tensor(0.5)
+    harness(env, torch.ones(2, dtype=torch.bool))
+    wrench, (root, torso) = env.sim.state("xfrc_applied"), bodies
+    np.testing.assert_allclose(wrench[:, root, 2], 0.35 * WEIGHT * np.array([0.25, 0.5]), rtol=1e-6)
+    np.testing.assert_allclose(wrench[:, torso, 3], [-2.5, -5.0], rtol=1e-6)
+    env.start_qpos, env.start_qvel = torch.zeros(2, g1.nq), torch.zeros(2, g1.nv)
+    env.start_qpos[:, 3], env.start_wrench = 1.0, torch.zeros(2, g1.nbody, 6)
+    harness.reset(torch.ones(2, dtype=torch.bool))
+    np.testing.assert_allclose(env.start_wrench[:, root, 2], 0.35 * WEIGHT * 0.5, rtol=1e-6)
 
 
 # Rewards and commands that grow with the training

@@ -219,7 +219,7 @@ def mesh(shape: Shape) -> rr.Mesh3D:
 
 def _along(normal: Array, root_quat: Array) -> tuple[Array, Array, Array]:
     """Returns unit vectors [T, 3] of planes with these normals: along the heading, to the left, out of the plane."""
-    heading = rotation.yaw(root_quat)
+    heading = rotation.yaw(root_quat.astype(np.float64))
     level = np.stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)], axis=1)
     left = np.cross(normal, level)
     left /= np.linalg.norm(left, axis=1, keepdims=True)
