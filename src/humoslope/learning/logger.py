@@ -22,6 +22,7 @@ SHOWN = {
     "falls/s": "Train/falls_per_second",
     "m/s": "Train/speed",
     "harness": "Curriculum/harness",
+    "standing": "Curriculum/standing_harness",
     "level": "Curriculum/terrain_levels",
     "std": "Policy/mean_std",
 }

@@ -96,7 +96,8 @@ class Provenance:
         task: Name of the trained task.
         iteration: Number of training iterations before this one; None for a policy from outside.
         total_steps: Number of environment steps seen; None for a policy from outside.
-        harness: Scale in [0, 1] that the training harness had come down to; None if the run had no harness.
+        harness: Scale in [0, 1] that the training harness had come down to, where it held more, of robots that walked
+            and of those that stood; None if the run had no harness.
         parent: The checkpoint that its training started from; None if it started from nothing.
         formerly: SHA-256 of the files it was converted from, under which older results and calibrations know it.
         variant: What sets its network apart from others of its task (see `PolicySpec.variant`), or where a policy from
@@ -264,14 +265,15 @@ def provenance_of(path: Path, state: Mapping[str, Any]) -> Provenance:
 
 
 def _provenance(record: Mapping[str, Any]) -> Provenance:
-    harness, parent = record["curriculum"].get("harness"), record["parent"]
+    curriculum, parent = record["curriculum"], record["parent"]
+    left = [float(curriculum[name]["scale"]) for name in ("harness", "standing_harness") if name in curriculum]
     return Provenance(
         path=Path(record["path"]),
         sha256=record["sha256"],
         task=record["task"],
         iteration=record["iteration"],
         total_steps=record["total_steps"],
-        harness=None if harness is None else float(harness["scale"]),
+        harness=max(left, default=None),
         parent=None if parent is None else _provenance(parent),
         formerly=tuple(record["formerly"]),
     )
