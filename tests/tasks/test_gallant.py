@@ -70,7 +70,8 @@ def test_world_friction_randomisation_and_harness_are_those_of_the_other_baselin
     assert {name for name in own if own[name] != theirs[name]} == {
         *("command", "observations", "rewards", "terminations", "curriculum")
     }
-    assert set(theirs["curriculum"]) - set(own["curriculum"]) == {"variety"}  # goals are always to be walked to
+    # Goals are always to be walked to.
+    assert set(theirs["curriculum"]) - set(own["curriculum"]) == {"variety", "standing_harness"}
     for same in ("harness", "terrain_levels"):
         assert own["curriculum"][same] == theirs["curriculum"][same]
     for same in ("time_out", "off_tile"):

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Annotated, ClassVar
 
+import torch
 import tyro
 from rich.console import Console
 
@@ -65,7 +66,7 @@ def run(arguments: list[str]) -> None:
 
     protocol, fit, console = options.protocol, options.fit, Console()
     cfg = ramp_env_cfg(task.env, protocol, read_spec(path).groups)
-    joint_pair(cfg.scene.robot, protocol.hip)  # a mistaken pattern is said before anything is built
+    joint_pair(cfg.scene.robot, protocol.hip, torch.device("cpu"))  # a mistake is said before anything is built
     env = ManagerBasedRlEnv(cfg)
     actor = load_actor(path, env, provenance.task)
     introduce(console, env, provenance, protocol)

@@ -165,7 +165,7 @@ def collect_samples(
     """
     recorder = SwingRecorder(protocol, env.num_envs, env.step_dt, env.device)
     swing = Swing(env, protocol.swing_force, protocol.swing_settle, protocol.swing_longest)
-    hips = torch.tensor(joint_pair(env.robot, protocol.hip), device=env.device)
+    hips = joint_pair(env.robot, protocol.hip, env.device)
     signals, start_x = env.signals, env.tiles.origin_w[:, 0]
 
     def observe(failed: Tensor, ended: Tensor) -> None:
