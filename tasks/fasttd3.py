@@ -44,14 +44,14 @@ def isaac_lab_rewards() -> Terms[RewardTermCfg]:
         track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.5}, weight=2.0),
         feet_air_time=RewardTermCfg(isaac_lab.FeetAirTime, {"threshold": 0.4}, weight=0.25),
         foot_slide=RewardTermCfg(unitree_rl_lab.foot_slide_horizontal, weight=-0.1),
-        ankle_limits=RewardTermCfg(isaac_lab.limits_of_joints, {"joints": ".*_ankle_.*", "soft": 0.9}, weight=-1.0),
+        ankle_limits=RewardTermCfg(rewards.joint_pos_limits, {"soft": 0.9, "joints": ".*_ankle_.*"}, weight=-1.0),
         hip_deviation=RewardTermCfg(deviation, {"joints": ".*_hip_(roll|yaw)_joint"}, weight=-0.1),
         arm_deviation=RewardTermCfg(deviation, {"joints": ".*(shoulder|elbow|wrist).*"}, weight=-0.1),
         waist_deviation=RewardTermCfg(deviation, {"joints": "waist.*"}, weight=-0.1),
         ang_vel_xy=RewardTermCfg(rewards.ang_vel_xy_l2, weight=-0.05),
         flat_orientation=RewardTermCfg(unitree_rl_lab.flat_orientation_l2, weight=-1.0),
         joint_torques=RewardTermCfg(isaac_lab.joint_torques_l2, {"joints": LEGS}, weight=-1.5e-7),
-        joint_acc=RewardTermCfg(isaac_lab.AccelerationOfJointsL2, {"joints": HIPS_AND_KNEES}, weight=-1.25e-7),
+        joint_acc=RewardTermCfg(rewards.JointAccelerationL2, {"joints": HIPS_AND_KNEES}, weight=-1.25e-7),
         action_rate=RewardTermCfg(rewards.action_rate_l2, weight=-0.005),
     )
 

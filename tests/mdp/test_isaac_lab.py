@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from humoslope.mdp import isaac_lab
+from humoslope.mdp import isaac_lab, rewards
 from robots.unitree_g1 import UNITREE_G1
 
 JOINTS = UNITREE_G1.joint_names
@@ -53,9 +53,9 @@ def test_torques_accelerations_and_limits_count_for_the_named_joints_alone(make_
     signals = SimpleNamespace(joint_torque=values, joint_vel=torch.zeros_like(values), joint_pos=values)
     env = make_env(1, signals=signals, robot=UNITREE_G1, joint_range=limits)
     assert isaac_lab.joint_torques_l2(env, joints=".*_knee_joint").item() == 9.0
-    assert isaac_lab.limits_of_joints(env, joints=".*_knee_joint", soft=0.9).item() == pytest.approx(2.1)
-    assert isaac_lab.limits_of_joints(env, joints=".*_ankle_.*", soft=0.9).item() == 0.0
-    term = isaac_lab.AccelerationOfJointsL2(env, joints=".*_knee_joint")
+    assert rewards.joint_pos_limits(env, joints=".*_knee_joint", soft=0.9).item() == pytest.approx(2.1)
+    assert rewards.joint_pos_limits(env, joints=".*_ankle_.*", soft=0.9).item() == 0.0
+    term = rewards.JointAccelerationL2(env, joints=".*_knee_joint")
     assert term(env).item() == 0.0
     env.signals.joint_vel = 0.02 * values
     assert term(env).item() == pytest.approx(9.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -141,10 +142,13 @@ def default():
     return torch.tensor(UNITREE_G1.default_joint_pos)
 
 
+OF_THREE_JOINTS = dataclasses.replace(UNITREE_G1, joint_names=("hip", "knee", "ankle"))
+
+
 def test_joints_beyond_the_soft_share_of_their_range_cost_how_far(make_env):
     limits = torch.tensor([[-1.0, 3.0], [-1.0, 1.0], [0.0, 2.0]])
     pos = torch.tensor([[2.9, -0.95, 1.0], [1.0, 0.0, 1.0], [3.5, 0.0, -0.5]])
-    env = make_env(3, joint_range=limits, signals=SimpleNamespace(joint_pos=pos))
+    env = make_env(3, robot=OF_THREE_JOINTS, joint_range=limits, signals=SimpleNamespace(joint_pos=pos))
     # The soft ranges are [-0.8, 2.8], [-0.9, 0.9] and [0.1, 1.9].
     expected = torch.tensor([0.1 + 0.05, 0.0, 0.7 + 0.6])
     torch.testing.assert_close(rewards.joint_pos_limits(env, soft=0.9), expected, atol=1e-6, rtol=0)
@@ -170,7 +174,7 @@ def test_power_counts_alike_whether_a_joint_drives_or_brakes(make_env):
 
 
 def test_joint_accelerations_are_differences_over_a_step_and_none_across_a_reset(make_env, mask):
-    env = make_env(2, signals=SimpleNamespace(joint_vel=torch.zeros(2, 3)))
+    env = make_env(2, robot=OF_THREE_JOINTS, signals=SimpleNamespace(joint_vel=torch.zeros(2, 3)))
     term = rewards.JointAccelerationL2(env)
     assert term(env).tolist() == [0.0, 0.0]
     env.signals = SimpleNamespace(joint_vel=torch.full((2, 3), 0.1))

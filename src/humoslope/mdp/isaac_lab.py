@@ -6,15 +6,14 @@ terms refers to the world's origin.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from torch import Tensor
 
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp.footfalls import TimeOnOneLeg
-from humoslope.mdp.rate import RateOfChange
 from humoslope.mdp.selection import Joints, joint_mask
-from humoslope.ranges import NotNegative, Positive, Range
+from humoslope.ranges import NotNegative, Positive
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv as Env
@@ -43,25 +42,6 @@ class FeetAirTime(StatefulTerm):
         self._time.reset(mask)
 
 
-class AccelerationOfJointsL2(StatefulTerm):
-    """Squared accelerations of some joints over one control step, summed, (rad/s^2)^2.
-
-    Args:
-        joints: Regular expression on whole joint names.
-    """
-
-    def __init__(self, env: Env, joints: Joints) -> None:
-        self._rate = RateOfChange(env.step_dt)
-        self._mask = joint_mask(env.robot, joints, env.device)
-
-    def __call__(self, env: Env) -> Tensor:
-        return self._rate(env.signals.joint_vel).square() @ self._mask
-
-    def reset(self, mask: Tensor) -> None:
-        """Makes the next acceleration of the envs in `mask` zero."""
-        self._rate.reset(mask)
-
-
 def joint_torques_l2(env: Env, joints: Joints) -> Tensor:
     """Squared torques of some joints, summed, (Nm)^2.
 
@@ -69,20 +49,6 @@ def joint_torques_l2(env: Env, joints: Joints) -> Tensor:
         joints: Regular expression on whole joint names.
     """
     return env.signals.joint_torque.square() @ joint_mask(env.robot, joints, env.device)
-
-
-def limits_of_joints(env: Env, joints: Joints, soft: Annotated[float, Range(0.0, 1.0, open_low=True)]) -> Tensor:
-    """Distance of some joints beyond the middle share of their range, summed, rad.
-
-    Args:
-        joints: Regular expression on whole joint names.
-        soft: Middle share of the range of every joint within which there is no penalty.
-    """
-    low, high = env.joint_range.unbind(dim=1)
-    margin = 0.5 * (1.0 - soft)
-    pos = env.signals.joint_pos
-    beyond = (low.lerp(high, margin) - pos).relu() + (pos - high.lerp(low, margin)).relu()
-    return beyond @ joint_mask(env.robot, joints, env.device)
 
 
 def upper_contact(env: Env, force: NotNegative) -> Tensor:

@@ -91,13 +91,18 @@ def root_height_l2(env: Env, target: NotNegative) -> Tensor:
 
 
 class JointAccelerationL2(StatefulTerm):
-    """Squared joint accelerations over one control step, summed, (rad/s^2)^2."""
+    """Squared joint accelerations over one control step, summed, (rad/s^2)^2.
 
-    def __init__(self, env: Env) -> None:
+    Args:
+        joints: Regular expression on whole joint names.
+    """
+
+    def __init__(self, env: Env, joints: Joints = ".*") -> None:
         self._rate = RateOfChange(env.step_dt)
+        self._mask = joint_mask(env.robot, joints, env.device)
 
     def __call__(self, env: Env) -> Tensor:
-        return self._rate(env.signals.joint_vel).square().sum(dim=1)
+        return self._rate(env.signals.joint_vel).square() @ self._mask
 
     def reset(self, mask: Tensor) -> None:
         """Makes the next acceleration of the envs in `mask` zero."""
@@ -128,17 +133,18 @@ class ActionAccelerationL2(StatefulTerm):
         self._change = self._change.masked_fill(mask[:, None], 0.0)
 
 
-def joint_pos_limits(env: Env, soft: Annotated[float, Range(0.0, 1.0, open_low=True)]) -> Tensor:
+def joint_pos_limits(env: Env, soft: Annotated[float, Range(0.0, 1.0, open_low=True)], joints: Joints = ".*") -> Tensor:
     """Distance of the joints beyond the middle share of their range, summed, rad.
 
     Args:
         soft: Middle share of the range of every joint within which there is no penalty.
+        joints: Regular expression on whole joint names.
     """
     low, high = env.joint_range.unbind(dim=1)
     margin = 0.5 * (1.0 - soft)
     pos = env.signals.joint_pos
     below, above = low.lerp(high, margin) - pos, pos - high.lerp(low, margin)
-    return (below.relu() + above.relu()).sum(dim=1)
+    return (below.relu() + above.relu()) @ joint_mask(env.robot, joints, env.device)
 
 
 def energy(env: Env) -> Tensor:
