@@ -460,8 +460,10 @@ def test_an_env_that_diverges_is_reset_counted_and_kept_for_a_look_and_the_other
     env, twin = make_stage1(8, noiseless), make_stage1(8, noiseless)
     for one in (env, twin):
         torch.manual_seed(5)
+        walked = []
         for step in range(divergence.STEPS):
             one.step(noise(one, step))
+            walked.append(one.sim.state("qpos")[3].clone())
         one.log.flush()
     field, value = BROKEN[accident]
     env.sim.state(field)[3, 8] = value
@@ -497,6 +499,8 @@ def test_an_env_that_diverges_is_reset_counted_and_kept_for_a_look_and_the_other
     assert qvel.shape == (divergence.STEPS, 35)
     assert qpos[:-1].isfinite().all()  # how it came to it
     assert (qpos[:-1, 7:].diff(dim=0).abs().amax(dim=1) > 0.0).all()  # step by step, oldest first
+    # Of the world that diverged.
+    torch.testing.assert_close(qpos[:-1], torch.stack(walked)[1:], check_dtype=False)
     assert qpos[:-1, 7:].diff(dim=0).abs().max() < 0.5
     assert env.take_divergence() is None
 

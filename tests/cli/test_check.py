@@ -169,3 +169,10 @@ def test_a_training_below_its_curve_is_found(
     findings = learning.check_training(TASK, cfg, 4, stage1_checkpoint, curve)
     assert len(wrong(findings)) == found
     assert "62.7" in findings[0].subject, "it goes on from the checkpoint's samples"
+
+
+def test_a_curve_without_the_checkpoint_that_goes_on_from_it_is_refused(tmp_path: Path, capsys) -> None:
+    curve = tmp_path / "curve.csv"
+    curve.write_text("iteration,Train/reward,Train/falls_per_second\n1,0,9\n")
+    assert main(["check", TASK, "--curve", str(curve)]) == 2
+    assert "--curve is what a run from --checkpoint is compared with" in capsys.readouterr().err

@@ -30,9 +30,9 @@ def make_ground(make_env, g1):
         origins[:, :, 0] = 10.1 * np.arange(LEVELS)[:, None] - 25.0
         origins[:, :, 1] = [-2.5, 2.5]
         terrain = Terrain(
-            heights=np.zeros((2, 2), dtype=np.float32),
-            cell=0.1,
-            origin=(0.0, 0.0),
+            heights=np.zeros((round((10.1 * LEVELS + LENGTH)), 11), dtype=np.float32),
+            cell=1.0,
+            origin=(-25.0, -5.0),
             tile_origin=origins,
             kind=("ramp-up", "ramp-down"),
             grade=np.linspace(0.0, 32.0, LEVELS)[:, None].repeat(2, axis=1),

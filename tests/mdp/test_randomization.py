@@ -400,6 +400,19 @@ def test_strength_scales_gains_and_limits_alike(worlds, span):
     assert gain[:, :, 0].equal(-bias[:, :, 1])
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_a_load_that_the_lightest_link_cannot_lose_is_refused_in_any_order(worlds, first):
+    env = worlds()  # the torso weighs 6.8 kg
+    calls = [
+        lambda: randomization.randomize_link_masses(env, HALF, (0.5, 1.0)),
+        lambda: events.randomize_mass(env, HALF, "torso_link", (-5.0, 1.0)),
+    ]
+    before, after = calls if first else reversed(calls)
+    before()
+    with pytest.raises(UserError, match=r"torso_link weighs .* kg; -5 kg cannot be added to 0.5 of it\."):
+        after()
+
+
 @given(span=spans, first=st.booleans())
 def test_masses_of_links_and_an_added_load_combine_in_any_order(worlds, span, first):
     env = worlds()

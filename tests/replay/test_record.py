@@ -101,6 +101,32 @@ def test_neither_noise_nor_harness_nor_randomisation_is_left() -> None:
     assert cfg.sim.timestep == 0.005
 
 
+@pytest.mark.parametrize(("terrain", "grade"), [("held-out-track", 20.0), ("rough-ramp-up", 30.0), ("ramp-down", 30.0)])
+def test_the_friction_is_what_the_protocol_says_on_any_ground(terrain: str, grade: float) -> None:
+    """Not what the steepest place of a tile would need, which on the track is the edge of its twisted bank."""
+    protocol = RecordProtocol(terrain=terrain, grade=grade)
+    env = ManagerBasedRlEnv(record_env_cfg(build_task("HumoSlope-Stage1-Unitree-G1").env, protocol))
+    mu = max(0.8, math.tan(math.radians(abs(grade))) + 0.3)
+    assert protocol.coefficient == pytest.approx(mu)
+    feet = [env.sim.model.geom(name).id for side in env.robot.foot_geoms for name in side]
+    np.testing.assert_allclose(env.sim.expand("geom_friction")[0, feet, 0], mu, rtol=1e-6)
+
+
+def test_a_walk_may_be_longer_than_a_ramp_and_is_refused_in_its_own_name() -> None:
+    task = build_task("HumoSlope-Stage1-Unitree-G1").env
+    cfg = record_env_cfg(task, RecordProtocol(terrain="held-out-track", seconds=1000.0))
+    assert cfg.episode_length_s > 1000.0
+    with pytest.raises(UserError, match="record: "):
+        record_env_cfg(task, RecordProtocol(timestep=0.003))
+
+
+def test_a_recording_without_a_step_is_refused() -> None:
+    protocol = RecordProtocol(seconds=0.008)
+    env = ManagerBasedRlEnv(record_env_cfg(build_task("HumoSlope-Stage1-Unitree-G1").env, protocol))
+    with pytest.raises(UserError, match="record: seconds is 0.008 s; it must be finite and at least one control step"):
+        record(env, lambda obs: torch.zeros(1, 29), protocol)
+
+
 def test_the_ground_is_long_enough_for_a_robot_that_is_half_as_fast_again() -> None:
     assert RecordProtocol(seconds=60.0, speed=0.5).ground().tile_length >= 1.5 * 60.0 * 0.5
     assert RecordProtocol(seconds=1.0).ground().tile_length == 10.0

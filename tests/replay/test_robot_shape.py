@@ -68,12 +68,25 @@ def test_every_link_of_the_robot_is_drawn_with_unit_normals_and_its_own_colours(
 
 
 def test_a_urdf_that_cannot_be_read_is_said_in_one_sentence() -> None:
-    with pytest.raises(UserError, match="URDF in this rollout cannot be read"):
+    with pytest.raises(UserError, match="the robot's URDF cannot be read"):
         RobotShape("hello")
+
+
+def visual(shape: str) -> str:
+    return f"<visual><geometry>{shape}</geometry></visual>"
+
+
+def test_links_that_cannot_be_drawn_are_left_out_unless_all_are() -> None:
+    box, mesh = visual("<box size='1 1 1'/>"), visual("<mesh filename='trunk.stl'/>")
+    shapes = RobotShape(f"<robot name='r'><link name='a'>{box}</link><link name='b'>{mesh}</link></robot>").shapes
+    assert list(shapes) == ["a"]
+    with pytest.raises(UserError, match="has no box, cylinder or sphere to draw"):
+        RobotShape(f"<robot name='r'><link name='b'>{mesh}</link></robot>")
 
 
 def test_a_link_without_a_way_to_the_root_is_named(rollout: Rollout) -> None:
     joint = "<joint name='j' type='fixed'><parent link='a'/><child link='b'/></joint>"
-    urdf = f"<robot name='r'><link name='a'/><link name='b'/>{joint}</robot>"
+    box = visual("<box size='1 1 1'/>")
+    urdf = f"<robot name='r'><link name='a'>{box}</link><link name='b'/>{joint}</robot>"
     with pytest.raises(UserError, match="does not connect 'b'"):
         RobotShape(urdf).poses(rollout)

@@ -69,7 +69,8 @@ def balls(heights: Array, depth: float, across: float) -> torch.Tensor:
     qpos = np.zeros((len(DISTANCES), PLACES, 7))
     for row, distance in zip(qpos, DISTANCES, strict=True):
         row[:, :2] = (local * [[1.0], [-1.0]] + [[distance], [-distance]]).T
-    qpos[..., :2] += -HALF % (PERIOD * CELL)  # the ground starts at the field's corner
+    # The ground starts at the field's corner; where a period of it begins next to the centre.
+    qpos[..., :2] += (0.5 * PERIOD * CELL - HALF) % (PERIOD * CELL) - 0.5 * PERIOD * CELL
     qpos = qpos.astype(np.float32).reshape(-1, 7).astype(np.float64)
     column, line = (qpos[:, 0] + HALF) / CELL, (qpos[:, 1] + HALF) / CELL
     j, i = np.floor(column).astype(int), np.floor(line).astype(int)

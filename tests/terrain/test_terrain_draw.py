@@ -57,3 +57,8 @@ def test_a_picture_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
 def test_the_local_grade_of_a_plane_is_its_steepest_grade() -> None:
     x, y = np.meshgrid(np.arange(5) * 0.1, np.arange(4) * 0.1, indexing="ij")
     np.testing.assert_allclose(draw.local_grade(0.3 * x + 0.4 * y, 0.1), np.degrees(np.arctan(0.5)))
+
+
+def test_a_picture_of_another_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"the picture of a terrain is a PNG; '.*v1\.2' must end in \.png\.$"):
+        draw.run("flat", tmp_path / "v1.2")

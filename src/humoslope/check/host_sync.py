@@ -18,15 +18,23 @@ from humoslope.env import ManagerBasedRlEnv
 
 aten = torch.ops.aten
 
-ANSWERS = {aten._local_scalar_dense, aten.item, aten.is_nonzero, aten.equal, aten.allclose}
+ANSWERS = {aten._linalg_check_errors, aten._local_scalar_dense, aten.item, aten.is_nonzero, aten.equal, aten.allclose}
 """Operators whose result is a number on the host."""
 
-SIZED_BY_VALUES = {aten.nonzero, aten.masked_select, aten._unique, aten._unique2, aten.unique_dim, aten.bincount}
+SIZED_BY_VALUES = {
+    aten.nonzero,
+    aten.masked_select,
+    aten._unique,
+    aten._unique2,
+    aten.unique_dim,
+    aten.unique_consecutive,
+    aten.bincount,
+}
 """Operators whose result has a size that depends on values."""
 
 INDEXING = {aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
 
-FROM_HOST = {torch.tensor, torch.as_tensor, torch.from_numpy}
+FROM_HOST = {torch.tensor, torch.as_tensor, torch.from_numpy, Tensor.new_tensor}
 TO_HOST = {Tensor.cpu, Tensor.numpy, Tensor.tolist, Tensor.item, Tensor.__bool__, Tensor.__int__, Tensor.__float__}
 
 WARM_UP = 3

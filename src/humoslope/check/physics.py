@@ -23,7 +23,7 @@ from humoslope.terrain.queries import TerrainQueries
 CELL, VERTICES, PERIOD = 0.1, 1081, 100
 """A field as large as a training terrain, 108 m; its ground repeats itself after 100 vertices."""
 DISTANCES = (0.0, 10.0, 20.0, 40.0)
-"""Distances from the field's centre along x and along y, m."""
+"""Distances from the field's centre along x and along y, m; half a period more or less."""
 PLACES = 32
 RADIUS = 0.015
 """Radius of a foot's sphere, m."""
@@ -168,7 +168,9 @@ def _sphere_on(profile: Array, half: float) -> mujoco.MjModel:
 def _spheres_in(profile: Array, half: float, depth: float, cosine: float) -> Tensor:
     """Poses [distances * places, 7] of spheres, `depth` deep along the normal of the same ground everywhere."""
     local = 1.0 + np.random.default_rng(1).uniform(0.0, 2.0, (PLACES, 2))  # m
-    xy = np.array(DISTANCES)[:, None, None] * [1, -1] + local * [1, -1] + -half % (PERIOD * CELL)
+    period = PERIOD * CELL
+    same = (0.5 * period - half) % period - 0.5 * period  # where a period begins, next to the centre
+    xy = np.array(DISTANCES)[:, None, None] * [1, -1] + local * [1, -1] + same
     qpos = np.zeros((len(DISTANCES) * PLACES, 7), dtype=np.float32)
     qpos[:, :2] = xy.reshape(-1, 2)
     along = (qpos[:, 0].astype(np.float64) + half) / CELL % PERIOD

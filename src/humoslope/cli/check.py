@@ -95,6 +95,8 @@ def run(arguments: list[str]) -> None:
         checkpoints.load(checkpoint, task)
     if curve is not None:
         read_end(curve)
+        if checkpoint is None:
+            raise UserError("check: --curve is what a run from --checkpoint is compared with; give that too.")
     if options.out:
         check_place(Path(options.out))
     device = find_device(cfg.env.sim.backend, cfg.env.sim.device)

@@ -237,7 +237,9 @@ class RampResult:
     manoeuvre: Manoeuvre | None = None
 
 
-def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str] = ("actor",)) -> EnvCfg:
+def ramp_env_cfg(
+    task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str] = ("actor",), verb: str = "ramps"
+) -> EnvCfg:
     """A task's environment reduced to its robot, its actions and the observations of the policy, on the ramps of this
     protocol. The envs are assigned to the grades in their order, `starts` to each.
 
@@ -245,6 +247,7 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str]
 
     Args:
         groups: Observation groups that the policy reads.
+        verb: Verb of the command line that asks for it, for messages.
 
     Raises:
         UserError: If the protocol's physics step does not divide the task's control step, or the task does not have one
@@ -264,7 +267,7 @@ def ramp_env_cfg(task_env: EnvCfg, protocol: RampProtocol, groups: Sequence[str]
             mode="interval",
             interval_s=(protocol.push_every,) * 2,
         )
-    sim = measuring_physics(task_env.sim, protocol.timestep, "ramps")
+    sim = measuring_physics(task_env.sim, protocol.timestep, verb)
     return dataclasses.replace(
         task_env,
         scene=dataclasses.replace(task_env.scene, terrain=_ground(protocol)),

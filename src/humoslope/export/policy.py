@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from tensordict import TensorDict
 
 from humoslope.deploy import contract as contracts
@@ -115,7 +114,6 @@ def make_contract(
         UserError: If an observation has no description, or the robot does not meet the assumptions of the descriptions.
     """
     robot, sim = env.robot, env.cfg.sim
-    _check_imu(env)
     return Contract(
         format="humoslope-policy",
         version=2,
@@ -147,15 +145,6 @@ def _training(provenance: Provenance) -> contracts.Training:
         harness=provenance.harness,
         started_from=None if provenance.parent is None else _training(provenance.parent),
     )
-
-
-def _check_imu(env: ManagerBasedRlEnv) -> None:
-    site, root = env.sim.model.site(env.robot.imu_site), env.sim.model.body(env.robot.root_body)
-    if site.bodyid[0] != root.id or not np.allclose(site.quat, (1.0, 0.0, 0.0, 0.0), atol=1e-6):
-        raise UserError(
-            f"{env.robot.name}: site '{site.name}' must belong to '{root.name}' and be parallel to its axes, "
-            "because a contract gives the angular velocity in the root's frame."
-        )
 
 
 def _observation_age(actor: Actor, trained: EnvCfg, sim: SimCfg) -> float:

@@ -165,9 +165,8 @@ def randomize_mass(
         body: Name of the body.
         added: Range of the added mass, kg.
     """
-    mass, i = env.sim.model.body_mass, body_id(env, body)
-    if mass[i] + added[0] <= 0.0:
-        raise UserError(f"randomize_mass: {body} weighs {mass[i]:.3g} kg; {added[0]:g} kg cannot be added to it.")
+    i = body_id(env, body)
+    env.masses.expect(slice(i, i + 1), added=added[0])
     env.masses.set(mask, slice(i, i + 1), added=env.uniform(*added, 1))
 
 

@@ -174,6 +174,7 @@ def randomize_link_masses(env: Env, mask: Tensor, factor: PositiveSpan) -> None:
     Args:
         factor: Range of the factor.
     """
+    env.masses.expect(slice(1, None), factor=factor[0])
     env.masses.set(mask, slice(1, None), factor=env.uniform(*factor, env.sim.model.nbody - 1))
 
 

@@ -18,9 +18,9 @@ from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.evaluation.ramps import RampProtocol, ramp_env_cfg
 from humoslope.learning.policy import Provenance
-from humoslope.managers import EventTermCfg, RewardTermCfg, Terms
+from humoslope.managers import EventTermCfg, RewardTermCfg, Terms, control_steps
 from humoslope.mdp.bsga import ComHeight
-from humoslope.mdp.events import push
+from humoslope.mdp.events import push, set_friction
 from humoslope.mdp.zmp import ZmpRegulariser
 from humoslope.provenance import git_state, plain
 from humoslope.ranges import Checked, Finite, NotNegative, Positive, Seed, Share, Timestep
@@ -52,7 +52,7 @@ class RecordProtocol(Checked):
         push_every: Time between pushes, s.
         timestep: Physics step, s; the control step stays the task's.
         friction: Smallest coefficient of friction between feet and ground.
-        friction_margin: Smallest difference between the coefficient of friction and tan(grade).
+        friction_margin: Smallest difference between the coefficient of friction and tan(grade), as on the track.
         seed: Seed of the random start and the pushes.
     """
 
@@ -93,6 +93,11 @@ class RecordProtocol(Checked):
             )
         return self.grade
 
+    @property
+    def coefficient(self) -> float:
+        """Coefficient of friction between feet and ground."""
+        return max(self.friction, math.tan(math.radians(abs(self.resolve_grade()))) + self.friction_margin)
+
     def ground(self) -> TileRowCfg:
         """Returns the terrain at its grade: a course unchanged, any other terrain long enough for the walk."""
         if course.is_course(self.terrain):
@@ -112,15 +117,27 @@ def record_env_cfg(task_env: EnvCfg, protocol: RecordProtocol, groups: Sequence[
     Raises:
         UserError: If the task has no such group, or cannot be recorded with the protocol's physics.
     """
-    same = ("seconds", "speed", "timestep", "friction", "friction_margin", "seed")
-    check = RampProtocol(grades=(0.0,), starts=1, **{name: getattr(protocol, name) for name in same})
-    cfg = ramp_env_cfg(task_env, check, groups)
+    same = ("speed", "timestep", "seed")
+    # A second on the flat, since ground and time are others here.
+    ramp = RampProtocol(grades=(0.0,), starts=1, seconds=1.0, **{name: getattr(protocol, name) for name in same})
+    cfg = ramp_env_cfg(task_env, ramp, groups, protocol.VERB)
     cfg.scene = dataclasses.replace(task_env.scene, terrain=protocol.ground())
+    cfg.episode_length_s += protocol.seconds - ramp.seconds
     cfg.rewards = task_env.rewards
+    cfg.events.friction = EventTermCfg(hold_friction, {"mu": protocol.coefficient}, mode="startup")
     if protocol.push:
         every = (protocol.push_every,) * 2
         cfg.events.push = EventTermCfg(push, {"speed": protocol.push}, mode="interval", interval_s=every)
     return cfg
+
+
+def hold_friction(env: ManagerBasedRlEnv, mask: Tensor, mu: NotNegative) -> None:
+    """Event: sets the coefficient of friction between feet and ground.
+
+    Args:
+        mu: The coefficient.
+    """
+    set_friction(env, mask, torch.full((env.num_envs,), mu, device=env.device))
 
 
 def _params(rewards: Terms[RewardTermCfg], kind: type) -> dict[str, Any] | None:
@@ -148,7 +165,7 @@ def record(
     rewards = env.cfg.rewards
     recorder = RolloutRecorder(env, _params(rewards, ZmpRegulariser) or {}, _params(rewards, ComHeight))
     with torch.inference_mode():
-        for _ in range(round(protocol.seconds / env.step_dt)):
+        for _ in range(control_steps("record: seconds", protocol.seconds, env.step_dt)):
             env.step(policy(env.get_observations()))
             recorder.after_step()
             on_step()
@@ -160,6 +177,7 @@ def record(
         "dt": env.step_dt,
         "physics": plain(env.cfg.sim) | {"backend": env.sim.backend, "device": str(env.device)},
         "protocol": plain(protocol),
+        "friction": protocol.coefficient,
         "robot": _robot_header(env),
         "reward_terms": env.rewards.names,
         "terrain": {

@@ -43,16 +43,19 @@ class RobotShape:
         shapes: Shape of each link that has one, in the link's frame.
 
     Raises:
-        UserError: If the URDF cannot be read.
+        UserError: If the URDF cannot be read, or has nothing to draw.
     """
 
     def __init__(self, urdf: str, meshes: Mapping[str, Shape] | None = None) -> None:
         try:
             self._urdf = yourdfpy.URDF.load(io.BytesIO(urdf.encode()), load_meshes=False)
             drawn = [link.name for link in self._urdf.robot.links if link.visuals]
-            self.shapes = dict(meshes) if meshes is not None else {link: _shape(self._urdf, link) for link in drawn}
-        except Exception:  # lxml, yourdfpy and trimesh have no common exception
-            raise UserError("the URDF in this rollout cannot be read; record it anew.") from None
+            shapes = meshes if meshes is not None else {link: _shape(self._urdf, link) for link in drawn}
+        except Exception as error:  # lxml, yourdfpy and trimesh have no common exception
+            raise UserError(f"the robot's URDF cannot be read ({type(error).__name__}).") from None
+        self.shapes = {link: shape for link, shape in shapes.items() if shape is not None}
+        if not self.shapes:
+            raise UserError("the robot's URDF has no box, cylinder or sphere to draw; meshes in it are not looked at.")
 
     def poses(self, rollout: Rollout) -> dict[str, Poses]:
         """Returns the pose of every link at every step of a walk.
@@ -107,8 +110,9 @@ def _beyond(parent: Poses, joint: Any, angle: Array | None) -> Poses:
     return Poses(rotation, position)
 
 
-def _shape(urdf: yourdfpy.URDF, link: str) -> Shape:
-    """Returns the visuals of a link as one mesh; yourdfpy has put them into its scene below the link."""
+def _shape(urdf: yourdfpy.URDF, link: str) -> Shape | None:
+    """Returns the visuals of a link as one mesh; yourdfpy has put them into its scene below the link. None if there are
+    none that can be drawn: files of meshes are not loaded."""
     parts, colours = [], []
     for name in urdf.scene.graph.nodes_geometry:
         if urdf.scene.graph.transforms.parents[name] != link:
@@ -119,6 +123,8 @@ def _shape(urdf: yourdfpy.URDF, link: str) -> Shape:
         part.apply_transform(pose)
         parts.append(part)
         colours.append(np.tile(drawn.visual.main_color[:3], (len(part.vertices), 1)))
+    if not parts:
+        return None
     whole: Any = trimesh.util.concatenate(parts)
     return Shape(
         vertices=whole.vertices.astype(np.float32),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import torch
 from torch import Tensor
 
@@ -32,7 +30,7 @@ class Tiles:
     def __init__(self, terrain: Terrain, num_envs: int, device: torch.device) -> None:
         self._origins = torch.as_tensor(terrain.tile_origin, dtype=torch.float32, device=device)  # [L, C, 3]
         self._grades = torch.deg2rad(torch.as_tensor(terrain.grade, dtype=torch.float32, device=device))  # [L, C]
-        self._terrain = terrain
+        self._steepest = torch.deg2rad(torch.as_tensor(terrain.steepest, dtype=torch.float32, device=device))  # [L, C]
         self.num_levels, columns = self._grades.shape
         self.length, self.width, self.spawn_x = terrain.tile_length, terrain.tile_width, terrain.spawn_x
         # Spreads the envs evenly over the columns, whatever their number.
@@ -52,8 +50,3 @@ class Tiles:
     def steepest(self) -> Tensor:
         """Largest inclination on the tile over the length of a stance, [N] rad."""
         return self._steepest[self.level, self.column]
-
-    @cached_property
-    def _steepest(self) -> Tensor:
-        degrees = torch.as_tensor(self._terrain.steepest, dtype=torch.float32, device=self._grades.device)
-        return torch.deg2rad(degrees)  # [L, C]

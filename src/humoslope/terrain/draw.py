@@ -30,14 +30,17 @@ def run(name: str, out: Path, *, seed: int = 0) -> Path:
     Args:
         name: Name of the terrain.
         out: File to write; folders are made.
-        seed: Seed of the random numbers; the picture shows the tiles of column 0.
+        seed: Seed of the random numbers. A grid has other random tiles of the same kind, since it has more levels.
 
     Returns:
         Path of the picture.
 
     Raises:
-        UserError: If there is no such terrain, or the picture cannot be written.
+        UserError: If there is no such terrain, or the picture cannot be written or is no PNG.
     """
+    out = out if out.suffix else out.with_suffix(".png")
+    if out.suffix != ".png":
+        raise UserError(f"the picture of a terrain is a PNG; '{out}' must end in .png.")
     kind = registry.find(name)
     difficulties = DIFFICULTIES[:1] if kind.grade[0] == kind.grade[1] else DIFFICULTIES
     drawn = course.find(name) if course.is_course(name) else None
@@ -50,11 +53,7 @@ def run(name: str, out: Path, *, seed: int = 0) -> Path:
     for level, difficulty in enumerate(difficulties):
         grade = kind.grade_at(difficulty)
         tiles.append((grade, kind.heights(x, y, grade, np.random.default_rng((seed, 0, level)))))
-    out = out if out.suffix else out.with_suffix(".png")
-    try:
-        write_atomically(out, lambda temporary: _draw(name, x, y, tiles, temporary, drawn))
-    except OSError as error:
-        raise UserError(f"cannot write the picture of terrain '{name}' to {out}: {error.strerror}.") from None
+    write_atomically(out, lambda temporary: _draw(name, x, y, tiles, temporary, drawn))
     return out
 
 

@@ -92,9 +92,10 @@ def terrain(
     Raises:
         UserError: If the name is taken, or the grades are not two angles between -90 and 90 degrees, low first.
     """
-    low, high = grade
-    if not -90.0 < low <= high < 90.0:
+    angles = grade if isinstance(grade, tuple | list) and all(isinstance(g, int | float) for g in grade) else ()
+    if len(angles) != 2 or not -90.0 < angles[0] <= angles[1] < 90.0:
         raise UserError(f"terrain '{name}' has grade {grade}; give (low, high) in degrees, between -90 and 90.")
+    low, high = angles
 
     def register(function: _F) -> _F:
         if name in _REGISTRY:

@@ -33,6 +33,19 @@ def test_a_video_has_a_picture_for_every_moment(rollout: Rollout, tmp_path: Path
     assert np.abs(first.astype(int) - drawn_anew).mean() < 6.0
 
 
+@pytest.mark.parametrize(("fps", "every"), [(50.0, 1), (25.0, 2), (10.0, 5)])
+def test_pictures_are_evenly_spaced(rollout: Rollout, fps: float, every: int) -> None:
+    steps = VideoCfg(fps=fps).steps(rollout)
+    assert set(np.diff(steps)) == {every}
+
+
+@pytest.mark.parametrize("fps", [30.0, 60.0, 100.0])
+def test_a_gif_that_would_play_at_another_speed_is_refused(rollout: Rollout, tmp_path: Path, fps: float) -> None:
+    with pytest.raises(UserError, match=f"video: fps is {fps:g}; a GIF shows each picture for whole hundredths"):
+        write_video(rollout, tmp_path / "walk.gif", VideoCfg(fps=fps, **SMALL))
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("ending", ["gif", "webp"])
 def test_a_web_page_gets_an_animated_picture(rollout: Rollout, tmp_path: Path, ending: str) -> None:
     path, drawn = tmp_path / f"walk.{ending}", []

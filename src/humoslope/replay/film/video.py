@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -31,6 +32,8 @@ QUALITY = ["-crf", "20", "-movflags", "+faststart"]
 """Options for x264: hardly visible losses; playback can start before the whole file is loaded."""
 ANIMATIONS: dict[str, dict[str, Any]] = {".gif": {}, ".webp": {"quality": 60, "method": 6}}
 """Endings of animated pictures, which web pages show in place, and what Pillow is told for each."""
+FASTEST_GIF = 50.0
+"""Most pictures per second that browsers show of a GIF; they slow down those that ask for more."""
 ENDINGS = (".mp4", *ANIMATIONS)
 """Endings of the files that `write_video` writes."""
 
@@ -75,8 +78,10 @@ class VideoCfg(Checked):
         last = float(time[-1]) if self.seconds is None else min(float(time[-1]), self.start + self.seconds)
         if self.start >= last:
             raise UserError(f"video: start is {self.start:g} s, but the rollout ends at {time[-1]:g} s.")
-        moments = np.arange(self.start, last, 1.0 / self.fps)
-        return np.searchsorted(time, moments, side="left").clip(max=len(time) - 1).tolist()
+        # The first step is the first that was recorded. Times in single precision lie on either side of what they mean.
+        moments = np.arange(max(self.start, float(time[0])), last, 1.0 / self.fps)
+        rounding = 0.01 * rollout.header["dt"]
+        return np.searchsorted(time, moments - rounding, side="left").clip(max=len(time) - 1).tolist()
 
 
 def write_video(rollout: Rollout, path: Path, cfg: VideoCfg, on_frame: Callable[[], None] = lambda: None) -> None:
@@ -89,8 +94,13 @@ def write_video(rollout: Rollout, path: Path, cfg: VideoCfg, on_frame: Callable[
         on_frame: Called after every picture.
 
     Raises:
-        UserError: If ffmpeg cannot be run.
+        UserError: If ffmpeg cannot be run, or a GIF cannot have so many pictures per second.
     """
+    if path.suffix == ".gif" and ((100.0 / cfg.fps) % 1.0 or cfg.fps > FASTEST_GIF):
+        raise UserError(
+            f"video: fps is {cfg.fps:g}; a GIF shows each picture for whole hundredths of a second, at least two: give "
+            "50, 25, 20, 12.5 or 10, or write .mp4 or .webp."
+        )
     steps = cfg.steps(rollout)
     with contextlib.closing(_draw(rollout, steps, cfg)) as pictures:
         encode = _animate if path.suffix in ANIMATIONS else _encode
@@ -174,6 +184,11 @@ def _draw(rollout: Rollout, steps: Sequence[int], cfg: VideoCfg) -> Generator[Pi
     pool = ProcessPoolExecutor(workers, context, _prepare, (rollout, cfg))
     try:
         yield from pool.map(_draw_one, steps)
+    except BrokenProcessPool:
+        raise UserError(
+            f"video: one of {workers} drawing processes was ended from outside, perhaps for want of memory; try fewer "
+            "with --workers."
+        ) from None
     finally:
         pool.shutdown(cancel_futures=True)  # a video that is given up is not drawn to its end
 
