@@ -87,6 +87,7 @@ def test_the_environment_is_the_contracts(guest: Path) -> None:
     model, names = env.sim.model, [joint.name for joint in contract.joints]
     drives = [model.actuator(name) for name in names]
     assert [drive.gainprm[0] for drive in drives] == [joint.stiffness_nm_rad for joint in contract.joints]
+    assert [-drive.biasprm[1] for drive in drives] == [joint.stiffness_nm_rad for joint in contract.joints]
     assert [-drive.biasprm[2] for drive in drives] == [joint.damping_nms_rad for joint in contract.joints]
     assert env.robot.default_joint_pos == tuple(joint.default_rad for joint in contract.joints)
     assert env.robot.action_scale == tuple(joint.action_scale_rad for joint in contract.joints)

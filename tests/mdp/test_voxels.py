@@ -13,6 +13,7 @@ from humoslope.managers import ObservationGroupCfg, ObservationTermCfg, Terms
 from humoslope.mdp import voxels
 from humoslope.mdp.voxels import VoxelColumns, grid_of
 from humoslope.scene.bodies import Bodies
+from humoslope.scene.tiles import Tiles
 from humoslope.slope import quaternion
 from humoslope.terrain import TerrainQueries
 from robots.unitree_g1 import UNITREE_G1
@@ -148,10 +149,9 @@ def standing(make_env, pos=(0.0, 0.0, 0.8), quat=(1.0, 0.0, 0.0, 0.0), slope=0.0
     torso = torch.tensor([pos])
     around = queries.height(queries.around(torso[:, :2]))
     signals = SimpleNamespace(torso_quat_w=torch.tensor([quat]), slope_normal_w=queries.slope_normal(around))
-    tiles = SimpleNamespace(width=6.0, length=6.0, origin_w=torch.tensor([[-3.0, 0.0, 0.0]]))
     env = make_env(
         1,
-        tiles=tiles,
+        tiles=Tiles(terrain, 1, torch.device("cpu")),
         signals=signals,
         terrain=queries,
         robot=UNITREE_G1,

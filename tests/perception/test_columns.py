@@ -122,12 +122,6 @@ def test_a_robot_that_has_fallen_over_gets_finite_heights():
         assert np.isfinite(lookup(there, torch.tensor([[0.0, 0.0, 0.3]]), rotation(roll, pitch, 0.0))).all()
 
 
-def test_flat_ground_lies_in_the_eighth_cell_below_a_torso_of_usual_height():
-    """The original's box: flat ground is near level 8 of 40."""
-    level = (-0.8 - BOX["low"]) / 0.05
-    assert level == pytest.approx(8.0)
-
-
 def test_a_grid_is_as_large_as_its_box_and_its_cell_say():
     full, reduced = ColumnGrid(**BOX, cell=0.05), ColumnGrid(**BOX, cell=0.1)
     assert (full.side, full.levels, str(full)) == (32, 40, "32 x 32 x 40 of 5 cm")

@@ -47,7 +47,7 @@ def run(arguments: list[str]) -> None:
     if options.save is not None:
         check_place(options.save)
     rollouts = [load_rollout(path) for path in (options.rollout, options.other) if path is not None]
-    meshes = load_meshes(rollouts[0].header["robot"]["name"]) if options.meshes else None
+    meshes = [load_meshes(rollout.header["robot"]["name"]) for rollout in rollouts] if options.meshes else None
     if options.save is not None:
         write_rrd(rollouts, options.save, meshes)
         print(f"wrote {options.save} ({options.save.stat().st_size / 1e6:.1f} MB)")

@@ -94,9 +94,6 @@ class VoxelColumns(FaultyTerm):
         self._turn = env.zeros(3)  # [N, 3] rad
         # A column and what an episode draws have a random number each; the shape of their source is its first use.
         self._drawn = torch.empty(env.num_envs, size + 7, device=env.device)
-        tiles = env.tiles
-        corners = [[0.0, -0.5 * tiles.width], [tiles.length, 0.5 * tiles.width]]
-        self._low, self._high = torch.tensor(corners, device=env.device)[..., None, None]  # [2, 1, 1]
 
     @staticmethod
     def scale_to(preset: Literal["cpu", "gpu"]) -> dict[str, Any]:
@@ -127,12 +124,9 @@ class VoxelColumns(FaultyTerm):
         position = env.bodies.position(env.robot.torso_body)[rows] + self._position[rows]
         rotation = quaternion.matrix(signals.torso_quat_w[rows])
         rotation = rotation @ quaternion.matrix(quaternion.from_rotation_vector(self._turn[rows]))
-        start = env.tiles.origin_w[rows, :2].T[:, :, None]  # [2, n, 1]
-        low, high = start + self._low, start + self._high
 
         def height(places: Tensor) -> Tensor:
-            inside = torch.minimum(torch.maximum(places, low), high)
-            return env.terrain.height(inside.movedim(0, -1))
+            return env.terrain.height(env.tiles.nearest(places, rows).movedim(0, -1))
 
         below = height(position[:, :2].T[:, :, None])[:, 0]
         return column_heights(position, rotation, self._offsets, below, signals.slope_normal_w[rows], height)

@@ -48,8 +48,6 @@ class HeightScan:
         device = tiles.origin_w.device
         axis = (torch.arange(cfg.size, device=device) - 0.5 * (cfg.size - 1)) * cfg.spacing
         self._offsets = torch.cartesian_prod(axis, axis).T.contiguous()  # [2, P] m forward and left
-        corners = [[0.0, -0.5 * tiles.width], [tiles.length, 0.5 * tiles.width]]
-        self._low, self._high = torch.tensor(corners, device=device)[..., None, None]  # [2, 1, 1] m from a tile's start
         self._scanned: Tensor | None = None  # the root's place when the scan was made, new at every refresh
         self._described: Tensor | None = None
 
@@ -85,8 +83,7 @@ class HeightScan:
         turn = torch.cat((cos, -sin, sin, cos), dim=1)  # [N, 4] rows of x and of y
         turn = turn.view(-1, 2, 2).transpose(0, 1).reshape(-1, 2)  # [2 N, 2] all x, then all y
         places = torch.addmm(root[:, :2].T.reshape(-1, 1), turn, self._offsets).view(2, len(root), -1)  # [2, N, P]
-        start = self._tiles.origin_w.T[:2, :, None]  # [2, N, 1]
-        nearest = torch.minimum(torch.maximum(places, start + self._low), start + self._high)
+        nearest = self._tiles.nearest(places)
         self._places, self._nearest = places, nearest
         self._heights_w = self._terrain.height(nearest.movedim(0, -1))
         self._scanned = root

@@ -35,6 +35,8 @@ class Tiles:
         self.length, self.width, self.spawn_x = terrain.tile_length, terrain.tile_width, terrain.spawn_x
         # Spreads the envs evenly over the columns, whatever their number.
         self.column = torch.arange(num_envs, device=device) * columns // num_envs
+        corners = [[0.0, -0.5 * self.width], [self.length, 0.5 * self.width]]
+        self._low, self._high = torch.tensor(corners, device=device)[..., None, None]  # [2, 1, 1] m from the start
         free = [column in terrain.omnidirectional for column in range(columns)]
         self.has_omnidirectional, self.has_straight = any(free), not all(free)
         self.omnidirectional = torch.tensor(free, device=device)[self.column]
@@ -45,6 +47,15 @@ class Tiles:
         self.level = level
         self.origin_w = self._origins[level, self.column]
         self.grade = self._grades[level, self.column]
+
+    def nearest(self, places: Tensor, rows: Tensor | slice = slice(None)) -> Tensor:
+        """The points of the envs' own tiles that are nearest to `places` [2, n, P] (all x, then all y, m).
+
+        Args:
+            rows: The n envs.
+        """
+        start = self.origin_w[rows, :2].T[:, :, None]  # [2, n, 1]
+        return torch.minimum(torch.maximum(places, start + self._low), start + self._high)
 
     @property
     def steepest(self) -> Tensor:

@@ -16,6 +16,7 @@ import pytest
 import rerun as rr
 import torch
 from rerun.chunk import RrdReader
+from scipy.spatial.transform import Rotation
 
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.replay.rerun import live
@@ -92,7 +93,13 @@ def test_robots_are_shown_where_they_are_and_nothing_is_changed(
     (knees,) = values(path, "/world/robot/left_knee_link", "InstancePoses3D:translations")
     np.testing.assert_allclose(knees, poses["left_knee_link"].position, atol=1e-5)
     (asked,) = values(path, "/world/commanded", "vectors")
-    np.testing.assert_allclose(np.linalg.norm(asked, axis=1), env.commands.velocity[chosen, :2].norm(dim=1), atol=1e-5)
+    ahead, left = env.commands.velocity[chosen, :2].T
+    cos, sin = s.heading_w[chosen].cos(), s.heading_w[chosen].sin()
+    expected = torch.stack([ahead * cos - left * sin, ahead * sin + left * cos, torch.zeros(3)], dim=1)
+    np.testing.assert_allclose(asked, expected, atol=1e-5)
+    (turned,) = values(path, "/world/robot/left_knee_link", "InstancePoses3D:quaternions")
+    rotation = Rotation.from_quat(turned).as_matrix()  # (x, y, z, w)
+    np.testing.assert_allclose(rotation, poses["left_knee_link"].rotation, atol=1e-5)
     assert values(path, "/curves/reward", "scalars") == [[1.5]]
     (ground,) = values(path, "/world/ground", "vertex_positions")
     vertices = np.array(ground, np.float32)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
+from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
 from humoslope.replay.rerun.rrd import write_rrd
@@ -91,6 +92,24 @@ def test_links_are_where_the_robot_was(chunks: dict[str, list[Any]], rollout: Ro
     steps, places = column(chunks["/world/robot/left_knee_link"], "translation")
     np.testing.assert_array_equal(steps, np.arange(1, len(rollout.columns) + 1))
     np.testing.assert_allclose(np.array(places).reshape(-1, 3), poses["left_knee_link"].position, atol=1e-5)
+    _, turned = column(chunks["/world/robot/left_knee_link"], "quaternion")
+    rotation = Rotation.from_quat(np.array(turned).reshape(-1, 4)).as_matrix()  # (x, y, z, w)
+    np.testing.assert_allclose(rotation, poses["left_knee_link"].rotation, atol=1e-5)
+
+
+def test_the_commanded_velocity_points_ahead_and_to_the_left_along_the_ground(
+    altered: Callable[..., Rollout], rollout: Rollout, tmp_path: Path
+) -> None:
+    """Ground that rises by 30 degrees towards +x, and a robot that faces +y."""
+    rows, tilt = len(rollout.columns), np.radians(30.0)
+    normal = np.tile(np.array((-np.sin(tilt), 0.0, np.cos(tilt)), np.float32), (rows, 1))
+    quat = np.tile(np.array((np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)), np.float32), (rows, 1))
+    command = np.tile(np.array((0.5, 0.2, 0.0), np.float32), (rows, 1))
+    write_rrd([altered(ground_normal_w=normal, root_quat_w=quat, command=command)], tmp_path / "walk.rrd")
+    _, arrows = column(read(tmp_path / "walk.rrd")["/world/velocity/commanded"], "vectors")
+    downhill = -0.2 * np.array((np.cos(tilt), 0.0, np.sin(tilt)))  # its left
+    expected = np.array((0.0, 0.5, 0.0)) + downhill
+    np.testing.assert_allclose(np.array(arrows).reshape(-1, 3), np.tile(expected, (rows, 1)), atol=1e-6)
 
 
 def test_the_zero_moment_point_is_shown_only_where_it_is_defined(
@@ -105,12 +124,17 @@ def test_the_zero_moment_point_is_shown_only_where_it_is_defined(
     np.testing.assert_allclose(shown, rollout.columns.zmp_w[valid], atol=1e-6)
 
 
-def test_a_target_height_is_shown_where_there_is_one(altered: Callable[..., Rollout], tmp_path: Path) -> None:
+def test_a_target_height_is_shown_where_there_is_one(
+    altered: Callable[..., Rollout], rollout: Rollout, tmp_path: Path
+) -> None:
     target = np.full(200, 0.7, np.float32)
     write_rrd([altered(com_height_target=target)], tmp_path / "walk.rrd")
     found = read(tmp_path / "walk.rrd")
     _, bars = column(found["/world/com/target"], "strips")
     assert all(len(bar) == 1 for bar in bars)
+    columns, middle = rollout.columns, np.array(bars)[:, 0].mean(axis=1)  # [T, 3] of both ends
+    np.testing.assert_allclose(middle[:, :2], columns.com_pos_w[:, :2], atol=1e-5)
+    np.testing.assert_allclose(middle[:, 2] - columns.com_pos_w[:, 2], 0.7 - columns.com_height, atol=1e-5)
     _, heights = column(found["/plots/height"], "scalars")
     np.testing.assert_allclose(np.array(heights)[:, 1], 0.7, atol=1e-6)
 

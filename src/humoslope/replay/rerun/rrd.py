@@ -18,13 +18,17 @@ from humoslope.replay.shapes import Shape
 PREFIXES = ("first/", "second/")
 
 
-def write_rrd(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] | None = None) -> None:
+Meshes = Sequence[Mapping[str, Shape]]
+"""Of each rollout, the shape of each link, as in `RobotShape`."""
+
+
+def write_rrd(rollouts: Sequence[Rollout], path: Path, meshes: Meshes | None = None) -> None:
     """Writes one rollout, or two side by side on one timeline, to an .rrd file with its layout.
 
     Args:
         rollouts: One or two rollouts.
         path: The file.
-        meshes: Shape of each link, as in `RobotShape`.
+        meshes: Shapes instead of those in the URDFs.
 
     Raises:
         UserError: If there are more than two.
@@ -34,7 +38,7 @@ def write_rrd(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shap
     write_atomically(path, lambda temporary: _write(rollouts, temporary, meshes))
 
 
-def _write(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] | None) -> None:
+def _write(rollouts: Sequence[Rollout], path: Path, meshes: Meshes | None) -> None:
     alone, names = len(rollouts) == 1, titles(rollouts)
     blueprint = layout.single(names[0]) if alone else layout.comparison(names, PREFIXES)
     # A viewer keeps one layout for each application, so that single walks and comparisons must be two.
@@ -42,7 +46,7 @@ def _write(rollouts: Sequence[Rollout], path: Path, meshes: Mapping[str, Shape] 
     recording.save(path, default_blueprint=blueprint)
     recording.send_recording_name(" and ".join(names))
     for i, rollout in enumerate(rollouts):
-        scene = Scene(recording, rollout, "" if alone else PREFIXES[i], meshes)
+        scene = Scene(recording, rollout, "" if alone else PREFIXES[i], meshes[i] if meshes else None)
         scene.log()
         scene.log_about(provenance_text(rollout))
         log_plots(scene, rollout, shared="" if alone else f"{i + 1} ", pale=i > 0)
