@@ -100,8 +100,8 @@ class CommandManager:
     Attributes:
         velocity: [N, 3] commanded velocity: forward and left in m/s along the ground, yaw rate in rad/s.
         variety: How far commands have moved from forward ones, a scalar tensor in [0, 1], for curricula; 1 at first.
-            Commands in other modes lie at this share of the way from a forward one, and this share of those to stand
-            is kept.
+            Commands backward and sideways point this share of the way round from ahead, and commands to turn lie at
+            this share of the way from a forward one; this share of those to stand is kept.
     """
 
     def __init__(self, env: Env, cfg: VelocityCommandCfg) -> None:
@@ -167,8 +167,14 @@ class CommandManager:
         size = torch.lerp(self._least, self._most, random[:, 1:2])  # [N, 3]
         side = torch.where(random[:, 2] < 0.5, -1.0, 1.0)
         yaw_rate = torch.where(turning, side * size[:, 2], velocity[:, 2])
-        other = torch.stack([-size[:, 0] * backward, side * size[:, 1] * sideways, yaw_rate], dim=1)
-        other = torch.lerp(velocity, other, self.variety)
+        # Not straight from ahead to back: halfway, a command to move would be one to stand, and be obeyed for good.
+        speed = torch.lerp(velocity[:, :1], size[:, :2], self.variety)  # [N, 2] of backward and of sideways
+        rest = 1.0 - self.variety
+        round_ = 0.5 * torch.pi * rest  # what is left to a quarter of a turn, rad
+        ahead = round_.sin() * speed[:, 1] * sideways - (2.0 * round_).cos() * speed[:, 0] * backward
+        aside = round_.cos() * speed[:, 1] * sideways + (2.0 * round_).sin() * speed[:, 0] * backward
+        linear = torch.stack([ahead, side * aside], dim=1) + rest * velocity[:, :2] * turning[:, None]
+        other = torch.cat([linear, torch.lerp(velocity[:, 2], yaw_rate, self.variety)[:, None]], dim=1)
         return torch.where((mode > 0)[:, None], other, velocity), steers & ~turning
 
     def _steer(self, linear: Tensor) -> None:

@@ -168,7 +168,7 @@ class HarnessCurriculum(CurriculumTerm):
         event: str = "harness",
         rate: NotNegative = 0.0083,
         strict_rate: NotNegative = 0.005,
-        falls_per_second: NotNegative = 0.06,
+        falls_per_second: NotNegative = 0.08,
         falls_unaided: NotNegative = 0.1,
         speed_share: NotNegative = 0.7,
         memory_s: Positive = 10.0,
@@ -256,7 +256,7 @@ class StandingHarnessCurriculum(CurriculumTerm):
         env: Env,
         event: str = "harness",
         rate: NotNegative = 0.0083,
-        falls_per_second: NotNegative = 0.06,
+        falls_per_second: NotNegative = 0.08,
         still_share: Share = 0.6,
         memory_s: Positive = 10.0,
     ) -> None:
@@ -341,7 +341,7 @@ class VaryCommands(CurriculumTerm):
     To stand is a skill of its own, learnt while something still holds the robot: one that walks unaided marches on,
     because on the way from marching to standing it falls. But a robot that has not learnt to step yet learns from such
     commands that standing still is worth something. And one that only knows how to walk forward earns next to nothing
-    for a command to walk backward, whatever it does about it; commands that move away from forward little by little are
+    for a command to walk backward, whatever it does about it; commands that turn away from ahead little by little are
     followed.
 
     Args:
