@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import pytest
@@ -83,3 +84,11 @@ def test_a_robot_is_described_by_its_numbers_and_the_hash_of_its_model() -> None
 def test_a_renamed_function_is_found_under_its_new_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(packing.RENAMED, "humoslope.mdp.rewards:living", "humoslope.mdp.rewards:alive")
     assert unpack({NAME: "humoslope.mdp.rewards:living"}, ()) is rewards.alive
+
+
+@pytest.mark.parametrize(("before", "now"), packing.RENAMED.items())
+def test_what_was_renamed_is_gone_and_its_new_name_is_there(before: str, now: str) -> None:
+    assert callable(unpack({NAME: before}, ()))
+    assert unpack({NAME: before}, ()) is unpack({NAME: now}, ())
+    module, _, path = before.partition(":")
+    assert not hasattr(import_module(module), path)

@@ -26,7 +26,11 @@ TYPE, NAME, ROBOT = "$type", "$name", "$robot"
 OWN = ("humoslope.mdp", "humoslope.managers")
 """Modules of this package that functions may come from."""
 
-RENAMED: dict[str, str] = {}
+RENAMED: dict[str, str] = {
+    "humoslope.mdp.gallant:joint_vel_l2": "humoslope.mdp.unitree_rl_lab:joint_vel_l2",
+    "humoslope.mdp.isaac_lab:AccelerationOfJointsL2": "humoslope.mdp.rewards:JointAccelerationL2",
+    "humoslope.mdp.isaac_lab:limits_of_joints": "humoslope.mdp.rewards:joint_pos_limits",
+}
 """Names in the configurations of older checkpoints, and today's: an entry for every function or configuration class of
 a shipped task that is renamed or moved, such as "humoslope.mdp.rewards:old": "humoslope.mdp.rewards:new"."""
 

@@ -106,8 +106,8 @@ def test_a_rollout_that_cannot_be_drawn_is_refused_in_one_sentence_by_every_verb
     header["robot"]["urdf"] = header["robot"]["urdf"].replace('<child link="torso_link"/>', '<child link="head"/>')
     np.savez(tmp_path / "loose.npz", **whole | {"header": np.array(json.dumps(header))})
     small = ("--width", "96", "--height", "64", "--workers", workers)
-    assert "in this rollout" in mistake("video", str(tmp_path / "loose.npz"), *small)
-    assert "in this rollout" in mistake("replay", str(tmp_path / "loose.npz"), "--save", str(tmp_path / "walk.rrd"))
+    assert "URDF cannot be read" in mistake("video", str(tmp_path / "loose.npz"), *small)
+    assert "URDF cannot be read" in mistake("replay", str(tmp_path / "loose.npz"), "--save", str(tmp_path / "walk.rrd"))
     whole["joint_pos"][3, 5] = np.nan
     np.savez(tmp_path / "nan.npz", **whole)
     for verb in ("video", "replay"):
