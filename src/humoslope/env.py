@@ -338,9 +338,7 @@ class ManagerBasedRlEnv:
         ones; the other envs stay as they are. Returns the observations of all envs."""
         mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device) if mask is None else mask
         self._reset(mask)
-        self._obs = self.observations.compute(mask)
-        if self._keeps_terminal_observations:
-            self.terminal_observations = self._obs
+        self._observe(mask)
         return self._obs
 
     def get_observations(self) -> TensorDict:
@@ -407,6 +405,12 @@ class ManagerBasedRlEnv:
         self.episode_length_buf = self.episode_length_buf.masked_fill(mask, 0)
         self.steps_since_reset = self.steps_since_reset.masked_fill(mask, 0)
 
+    def _observe(self, restarted: Tensor) -> None:
+        """Observes outside of a step, after episodes began in the envs `restarted` [N]."""
+        self._obs = self.observations.compute(restarted)
+        if self._keeps_terminal_observations:
+            self.terminal_observations = self._obs
+
     def take_divergence(self) -> tuple[Tensor, Tensor] | None:
         """Returns qpos [K, nq] and qvel [K, nv] before the first divergence since the last call, or None.
         Waits for the device."""
@@ -438,9 +442,7 @@ class ManagerBasedRlEnv:
         self.curriculum.begin()
         everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._restart(everywhere)
-        self._obs = self.observations.compute(everywhere)
-        if self._keeps_terminal_observations:
-            self.terminal_observations = self._obs
+        self._observe(everywhere)
 
     def snapshot(self) -> dict[str, Any] | None:
         """Returns a copy of all that `state_dict` leaves out: physics, episodes and the memory of every manager and

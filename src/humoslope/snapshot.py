@@ -29,7 +29,10 @@ def take(roots: Mapping[str, object], others: Iterable[object], is_lent: Callabl
         others: Objects that are met on the way and do not belong to them.
         is_lent: True for a tensor whose memory belongs to something else, such as the physics.
     """
-    return {path: _remembered(holder, is_lent) for path, holder in _walk(roots, others)}
+    return {
+        path: {name: _copy(value) for name, value in _remembered(holder, is_lent).items()}
+        for path, holder in _walk(roots, others)
+    }
 
 
 def check(
@@ -56,9 +59,9 @@ def size(roots: Mapping[str, object], others: Iterable[object], is_lent: Callabl
     """Bytes of the tensors that `take` would copy."""
     found = 0
     for _, holder in _walk(roots, others):
-        for _, value in _items(holder):
+        for value in _remembered(holder, is_lent).values():
             tensors = value if _is_row(value) else [value] if isinstance(value, Tensor) else []
-            found += sum(tensor.nbytes for tensor in tensors if not is_lent(tensor))
+            found += sum(tensor.nbytes for tensor in tensors)
     return found
 
 
@@ -74,17 +77,22 @@ def put(memory: Memory, roots: Mapping[str, object], others: Iterable[object]) -
 
 
 def _remembered(holder: Any, is_lent: Callable[[Tensor], bool]) -> dict[str, Any]:
-    """Copies of what an object remembers, by attribute."""
-    found: dict[str, Any] = {}
-    for name, value in _items(holder):
-        if isinstance(value, Tensor):
-            if not is_lent(value):
-                found[name] = value.clone()
-        elif value is None or isinstance(value, bool | int | float):
-            found[name] = value
-        elif _is_row(value) and not any(map(is_lent, value)):
-            found[name] = type(value)(tensor.clone() for tensor in value)
-    return found
+    """What an object remembers, by attribute."""
+    return {name: value for name, value in _items(holder) if _is_memory(value, is_lent)}
+
+
+def _is_memory(value: Any, is_lent: Callable[[Tensor], bool]) -> bool:
+    if isinstance(value, Tensor):
+        return not is_lent(value)
+    if _is_row(value):
+        return not any(map(is_lent, value))
+    return value is None or isinstance(value, bool | int | float)
+
+
+def _copy(value: Any) -> Any:
+    if isinstance(value, Tensor):
+        return value.clone()
+    return type(value)(tensor.clone() for tensor in value) if _is_row(value) else value
 
 
 def _walk(roots: Mapping[str, object], others: Iterable[object]) -> list[tuple[str, Any]]:

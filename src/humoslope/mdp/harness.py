@@ -16,6 +16,7 @@ from humoslope.errors import UserError, require_not_negative, require_positive, 
 from humoslope.managers.command import commanded_and_walked
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.managers.terms import StatefulTerm
+from humoslope.mdp.standing import both_feet_down, standing
 from humoslope.ranges import NotNegative, Positive, Share
 from humoslope.slope import quaternion, zmp
 
@@ -270,10 +271,10 @@ class StandingHarnessCurriculum(CurriculumTerm):
 
     def step(self, env: Env) -> Tensor:
         """Withdraws a little where it is deserved; returns the scale."""
-        standing = ~env.commands.moving
-        count = standing.sum()
-        falls = (env.terminations.terminated & standing).sum() / (count * env.step_dt)
-        still = (env.signals.foot_contact.all(dim=1) & standing).sum() / count
+        stands = standing(env)
+        count = stands.sum()
+        falls = (env.terminations.terminated & stands).sum() / (count * env.step_dt)
+        still = both_feet_down(env).sum() / count
         # Where nobody is commanded to stand, nothing is learnt about it.
         self._falls = torch.where(count > 0, torch.lerp(falls, self._falls, self._keep), self._falls)
         self._still = torch.where(count > 0, torch.lerp(still, self._still, self._keep), self._still)
