@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from humoslope import shipped
+from humoslope.cli.measure import subject
 from humoslope.deploy import contract as contracts
 from humoslope.errors import UserError
 from tests import processes
@@ -29,6 +30,18 @@ def test_what_lies_in_the_folder_comes_before_what_is_shipped(tmp_path: Path, mo
     own.parent.mkdir(parents=True)
     own.touch()
     assert shipped.found(shipped.STAGE2) == shipped.STAGE2
+
+
+def test_results_beside_the_name_of_a_shipped_export_do_not_hide_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / shipped.EXPORT).mkdir(parents=True)
+    (tmp_path / shipped.EXPORT / "margins.json").touch()
+    assert contracts.located(shipped.EXPORT) == ROOT / shipped.EXPORT
+    measured = subject(shipped.EXPORT)
+    assert measured.provenance.task == "HumoSlope-Stage2-Unitree-G1"
+    assert measured.beside("heldout") == shipped.EXPORT / "heldout"
 
 
 def test_all_that_a_user_may_name_exists() -> None:

@@ -16,6 +16,11 @@ INK = "#333333"
 """Colour of text and outlines."""
 
 
+def with_ending(path: Path) -> Path:
+    """`path` of a picture, as PNG where it has no ending."""
+    return path if path.suffix else path.with_suffix(".png")
+
+
 def new_figure(width: float = 6.4, height: float = 4.8, title: str = "") -> Figure:
     """An empty figure of this size in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import multiprocessing
+import signal
+from concurrent.futures import Future
 
 import pytest
 
 from humoslope.cli import bench, main
+from humoslope.interrupts import Terminated
 from humoslope.learning.benchmark import Measurement
 from humoslope.seal import read_json
 
@@ -28,6 +32,9 @@ def measured(task: str, typed: list[str], num_envs: int) -> Measurement:
         peak_mib=500.0 + num_envs,
         parts={"physics": 0.75, "rest": 0.25},
     )
+
+
+measure_apart = bench._measure_apart
 
 
 @pytest.fixture(autouse=True)
@@ -70,3 +77,15 @@ def test_a_gpu_is_named_with_its_memory(tmp_path, monkeypatch, capsys):
     report = read_json(out)
     assert report["machine"]["device"] == "Card, 80 GiB"
     assert report["sizes"][0]["card_mib"] == 4512.0
+
+
+def test_a_measurement_that_is_stopped_is_not_waited_for(monkeypatch):
+    """Of so many rounds that it would never end."""
+
+    def stop(future):
+        raise Terminated(signal.SIGTERM)
+
+    monkeypatch.setattr(Future, "result", stop)
+    with pytest.raises(Terminated):
+        measure_apart(TASK, ["--rounds", "1000000"], 1)
+    assert multiprocessing.active_children() == []

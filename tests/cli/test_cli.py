@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+import humoslope
 from humoslope.cli import VERBS, main
 from humoslope.learning import checkpoint
 from humoslope.seal import sealed
@@ -235,11 +236,21 @@ def test_a_checkpoint_that_does_not_fit_leaves_the_run_as_it_was(mistake, folder
     assert content(folder) == before
 
 
-def test_help_lists_every_task_and_every_field(capsys):
-    assert main(["train", "--help"]) == 0
+def test_the_version_is_told(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"humoslope {humoslope.__version__}\n"
+
+
+@pytest.mark.parametrize("verb", ["train", "bench", "check"])
+def test_help_of_a_verb_that_takes_a_task_lists_every_task(capsys, verb):
+    assert main([verb, "--help"]) == 0
     said = capsys.readouterr().out
+    assert said.startswith(f"humoslope {verb} TASK [...]; ")
     assert TASK in said
     assert OTHER_TASK in said
+
+
+def test_help_of_a_task_lists_every_field(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["train", TASK, "--help"])
     assert stop.value.code == 0

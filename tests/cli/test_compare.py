@@ -143,3 +143,13 @@ def test_a_run_without_event_files_may_have_its_curves_in_a_table(runs: list[str
     assert main(["compare", runs[0], str(kept), "--each", "--out", str(tmp_path / "a.csv")]) == 0
     rows = table(tmp_path / "a.csv")
     assert float(rows["kept"]["speed m/s"]) == pytest.approx(float(rows["first"]["speed m/s"]), rel=1e-4)
+
+
+def test_a_picture_without_an_ending_is_a_png(seeds: list[str], tmp_path: Path) -> None:
+    assert main(["compare", *seeds, "--curves", str(tmp_path / "curves")]) == 0
+    assert (tmp_path / "curves.png").is_file()
+
+
+def test_a_run_that_is_given_twice_is_refused(runs: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", runs[0], runs[1], f"{runs[0]}/../first"]) == 2
+    assert "is given twice; it would count twice." in capsys.readouterr().err

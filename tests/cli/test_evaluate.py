@@ -196,6 +196,8 @@ def test_the_defaults_of_the_protocol_follow_the_choice_of_a_sweep(
         (("--parallel-trials", "0"), "parallel_trials is 0"),
         (("--trials", "0"), "trials is 0"),
         (("--timestep", "0.003"), "does not divide"),
+        (("--start-place", "99"), "start_place is 99 m; it must lie before success_place, 31.5 m"),
+        (("--start-place", "-1"), "start_place is -1"),
         (("--course", "held-out-trak"), "did you mean 'held-out-track'"),
         (("--out", f"{__file__}/out"), "is no folder one can write to"),
     ],
@@ -213,3 +215,12 @@ def test_what_is_no_checkpoint_is_said_in_one_sentence(mistake: Callable[..., st
 
 def test_a_checkpoint_that_is_given_twice_is_refused(mistake: Callable[..., str], untrained: Path) -> None:
     assert "is given twice" in mistake("evaluate", str(untrained), str(untrained))
+
+
+def test_checkpoints_of_different_tasks_are_not_pooled(
+    mistake: Callable[..., str], untrained: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "model_1.pt"
+    checkpoint.save(other, checkpoint.load(untrained) | {"task": "HumoSlope-Stage1-NoZMP-Unitree-G1"})
+    said = mistake("evaluate", str(untrained), str(other), *TINY)
+    assert "only trials of one method are pooled" in said

@@ -315,7 +315,19 @@ def test_a_turning_robot_reports_its_yaw_rate_and_its_speed_along_its_heading(
     assert trial.heading_speed == pytest.approx(0.5, abs=1e-3)
 
 
-@pytest.mark.parametrize("wrong", [{"load_kg": -1.0}, {"strength": 0.0}, {"delay_s": -0.1}, {"timestep_s": 0.0}])
-def test_impossible_conditions_are_refused(wrong: dict[str, float]) -> None:
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"load_kg": -1.0},
+        {"strength": 0.0},
+        {"delay_s": -0.1},
+        {"delay_s": 1e300},
+        {"timestep_s": 0.0},
+        {"timestep_s": 1e-9},
+        {"push_m_s": math.nan},
+        {"encoder_bias_rad": (0.0, math.inf)},
+    ],
+)
+def test_impossible_conditions_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=next(iter(wrong))):
         replace(Conditions(), **wrong)

@@ -12,7 +12,7 @@ import pytest
 
 from humoslope.errors import UserError
 from humoslope.learning import run_folder
-from humoslope.learning.run_folder import claimed, find_run, record_start, saved_options, tee
+from humoslope.learning.run_folder import claimed, find_run, record_start, runs_of, saved_options, tee
 from humoslope.registry import build_task
 from humoslope.seal import SUMS
 
@@ -105,3 +105,25 @@ def test_a_checkpoint_in_place_of_a_run_folder_is_told_what_takes_it(tmp_path: P
     (tmp_path / "model_3.pt").touch()
     with pytest.raises(UserError, match=r"model_3.pt' is a file; --resume takes the folder .* with --init\.$"):
         find_run("Walk", str(tmp_path / "model_3.pt"))
+
+
+def test_runs_of_a_task_are_found_where_run_dir_put_them_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Clock(datetime):
+        second = 0
+
+        @classmethod
+        def now(cls, tz: Any = None) -> Clock:
+            cls.second += 1
+            return cls(2026, 1, 2, 3, 4, cls.second)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run_folder, "datetime", Clock)
+    cfg = build_task("HumoSlope-Stage1-Unitree-G1")
+    for name, task in (("logs/second", "A"), ("logs/A/first", "A"), ("logs/other", "B"), ("logs/A/no-checkpoint", "A")):
+        record_start(Path(name), task, cfg, [], 0, 0, None)
+        if "no" not in name:
+            Path(name, "model_1.pt").touch()
+    assert runs_of("A") == [Path("logs/second"), Path("logs/A/first")]
+    assert find_run("B", "latest") == Path("logs/other")
+    with pytest.raises(UserError, match=r"no run of C with a checkpoint under logs\."):
+        find_run("C", "latest")

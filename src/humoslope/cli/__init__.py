@@ -6,10 +6,12 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from importlib import import_module
 from types import FrameType
 from typing import Any, TextIO, cast
 
+import humoslope
 from humoslope.errors import UserError, unknown
 from humoslope.extras import explained_extras
 from humoslope.interrupts import Terminated, handled
@@ -51,6 +53,7 @@ VERBS = {
 PRINTING = ("list", "table", "compare", "doctor")
 """Verbs whose result is what they print. They end when nobody reads it any more; others finish their work."""
 HELP = ("-h", "--help")
+VERSION = "--version"
 EXIT_CODES = """Exit codes: 0 complete; 2 a mistake, said in one sentence; 130, 143, 129 stopped by Ctrl-C, SIGTERM or
 SIGHUP, with what was done kept; 141 nobody reads the output any more; 1 an error of the program, with a traceback, or
 something that `check` or `accept` finds wrong. Under torchrun each process has these codes, torchrun itself 0 or 1."""
@@ -63,14 +66,14 @@ def main(arguments: list[str] | None = None) -> int:
     code, said, unread = 0, "", 141
     try:
         verb, rest = (arguments or ["--help"])[0], arguments[1:]
-        if verb not in (*VERBS, *HELP):
+        if verb not in (*VERBS, *HELP, VERSION):
             raise unknown("verb", verb, VERBS)
-        prints_only = verb in (*PRINTING, *HELP) or not {*rest}.isdisjoint(HELP)
+        prints_only = verb in (*PRINTING, *HELP, VERSION) or not {*rest}.isdisjoint(HELP)
         unread = 141 if prints_only else 0
         # A training sees to its terminal itself.
         reading = nullcontext() if prints_only or verb == "train" else _without_readers()
         with handled(_stop), explained_extras(verb), reading:
-            run: Callable[[list[str]], None] = _print_help if verb in HELP else _verb(verb)
+            run: Callable[[list[str]], None] = _verb(verb) if verb in VERBS else partial(_tell, verb)
             run(rest)
     except UserError as error:
         code, said = 2, str(error)
@@ -166,7 +169,11 @@ def _said_of_memory(error: Exception) -> str:
     return ""
 
 
-def _print_help(_: list[str]) -> None:
+def _tell(asked: str, _: list[str]) -> None:
+    """Prints the version, or all verbs."""
+    if asked == VERSION:
+        print(f"humoslope {humoslope.__version__}")
+        return
     width = max(map(len, VERBS))
     print("humoslope VERB [...]; humoslope VERB --help lists its options.\n")
     for verb, line in VERBS.items():

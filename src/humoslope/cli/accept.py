@@ -13,6 +13,7 @@ from rich.console import Console
 
 from humoslope.cli.arguments import parse_options
 from humoslope.cli.margins import run_trials
+from humoslope.deploy import contract as contracts
 from humoslope.deploy.conditions import NOMINAL
 from humoslope.errors import UserError
 from humoslope.evaluation.margins.acceptance import Acceptance, table
@@ -61,7 +62,7 @@ def run(arguments: list[str]) -> None:
     out = options.out or options.folder / "acceptance"
     json_path, store_path = (out.with_name(out.name + end) for end in (".json", ".trials.json"))
     acceptance = Acceptance(
-        options.folder,
+        contracts.located(options.folder),
         options.demands,
         options.trials,
         options.seconds,

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 import humoslope
-from humoslope.cli.options import parse
+from humoslope.cli.options import named_task, parse
 from humoslope.cpu import usable_cores
 from humoslope.errors import UserError
 from humoslope.files import check_place
@@ -26,7 +26,7 @@ from humoslope.learning import checkpoint as checkpoints
 from humoslope.learning.benchmark import RANDOM_STD, Measurement, measure
 from humoslope.presets import Preset
 from humoslope.ranges import Checked, Count, NotEmpty
-from humoslope.registry import all_tasks, load_content
+from humoslope.registry import load_content
 from humoslope.seal import finite, write_json
 
 TARGETS = "Aims of the cpu preset: env.step 80 % and PPO 45 % of raw at 512 envs; below 2,048 MiB at 4096."
@@ -59,10 +59,10 @@ class Options(Checked):
 
 def run(arguments: list[str]) -> None:
     """Measures the task named in `arguments`."""
-    load_content()
-    if not arguments or arguments[0].startswith("-"):
-        raise UserError(f"bench needs a task: {', '.join(all_tasks())}.")
-    task, typed = arguments[0], arguments[1:]
+    named = named_task("bench", arguments)
+    if named is None:
+        return
+    task, typed = named
     _, options = parse(Options(), task, typed, "bench")
     if options.checkpoint:
         checkpoints.load(Path(options.checkpoint))
@@ -113,6 +113,10 @@ def _measure_apart(task: str, typed: list[str], num_envs: int) -> Measurement:
             return pool.submit(_measure, task, typed, num_envs).result()
         except BrokenProcessPool:
             raise UserError(f"the process with {num_envs} envs was killed; probably memory ran out.") from None
+        except KeyboardInterrupt:  # the pool would wait for the end of the measurement
+            for process in multiprocessing.active_children():
+                process.kill()
+            raise
 
 
 def _measure(task: str, typed: list[str], num_envs: int) -> Measurement:

@@ -20,14 +20,14 @@ from humoslope.check.host_sync import check_host_sync
 from humoslope.check.learning import check_speed, check_training, read_end
 from humoslope.check.machine import describe_machine
 from humoslope.check.physics import check_contacts, check_graphs, check_motion, check_rollout
-from humoslope.cli.options import parse
+from humoslope.cli.options import named_task, parse
 from humoslope.env import ManagerBasedRlEnv
 from humoslope.errors import UserError
 from humoslope.files import check_place
 from humoslope.learning import checkpoint as checkpoints
 from humoslope.learning.benchmark import Measurement
 from humoslope.presets import Preset
-from humoslope.registry import TaskCfg, all_tasks, load_content
+from humoslope.registry import TaskCfg
 from humoslope.seal import finite, write_json
 from humoslope.sim.device import find_device
 
@@ -84,10 +84,10 @@ SCALES = {
 
 def run(arguments: list[str]) -> None:
     """Checks this installation with the task named in `arguments`."""
-    load_content()
-    if not arguments or arguments[0].startswith("-"):
-        raise UserError(f"check needs a task: {', '.join(all_tasks())}.")
-    task, typed = arguments[0], arguments[1:]
+    named = named_task("check", arguments)
+    if named is None:
+        return
+    task, typed = named
     cfg, options = parse(Options(), task, typed, "check")
     checkpoint = Path(options.checkpoint) if options.checkpoint else None
     curve = Path(options.curve) if options.curve else None

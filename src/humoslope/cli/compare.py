@@ -15,6 +15,7 @@ from humoslope.evaluation.report.compare import TrainingRun, compare
 from humoslope.evaluation.report.results import by_row
 from humoslope.files import check_place, write_text
 from humoslope.learning.run_folder import saved_options, start_of
+from humoslope.plotting import with_ending
 from humoslope.ranges import Checked, Range
 from humoslope.words import option_groups
 
@@ -53,9 +54,14 @@ def run(arguments: list[str]) -> None:
         if options.out.suffix not in (".md", ".csv"):
             raise UserError(f"the table '{options.out}' must end in .md or .csv.")
         check_place(options.out)
-    if options.curves is not None:
-        check_place(options.curves)
-    runs = [_read(folder) for path in options.runs for folder in _folders(path)]
+    curves = options.curves and with_ending(options.curves)
+    if curves is not None:
+        check_place(curves)
+    folders = [folder for path in options.runs for folder in _folders(path)]
+    for i, folder in enumerate(folders):
+        if folder.resolve() in (other.resolve() for other in folders[:i]):
+            raise UserError(f"compare: run '{folder}' is given twice; it would count twice.")
+    runs = [_read(folder) for folder in folders]
     sheets = compare(runs, options.at, options.each)
     for sheet in sheets:
         sheet.show()
@@ -63,9 +69,9 @@ def run(arguments: list[str]) -> None:
         texts = [sheet.to_markdown() if options.out.suffix == ".md" else sheet.to_csv() for sheet in sheets]
         write_text(options.out, "\n".join(texts))
         print(f"wrote {options.out}")
-    if options.curves is not None:
-        draw_bands(runs, options.curves, options.at)
-        print(f"wrote {options.curves}")
+    if curves is not None:
+        draw_bands(runs, curves, options.at)
+        print(f"wrote {curves}")
 
 
 def _folders(path: Path) -> list[Path]:

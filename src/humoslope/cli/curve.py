@@ -7,6 +7,7 @@ from pathlib import Path
 import tyro
 
 from humoslope.evaluation.report.curve import continued, draw, read_curves, read_table, write_table
+from humoslope.plotting import with_ending
 
 
 def run(arguments: list[str]) -> None:
@@ -23,8 +24,7 @@ def curve(run_dir: tyro.conf.Positional[Path], out: Path | None = None, table: P
         table: Path of a CSV file that keeps the drawn curves. If it exists, the run's curves continue those in it, so
             that a run can be continued on a machine without its event files.
     """
-    path = out or run_dir / "curve.png"
-    path = path if path.suffix else path.with_suffix(".png")
+    path = with_ending(out or run_dir / "curve.png")
     curves = read_curves(run_dir)
     if table is not None and table.exists():
         curves = continued(read_table(table), curves)

@@ -93,16 +93,17 @@ def run(arguments: list[str]) -> None:
     out = options.out or Path(f"walk-{datetime.now():%Y-%m-%d-%H%M%S}.npz")
     check_place(out)
     pace = pace_on(options.interface, options.slower)
-    contract = contracts.read(options.folder)
+    folder = contracts.located(options.folder)
+    contract = contracts.read(folder)
     motor_of_joint(contract)
     require_measured(contract)
-    controller = Controller(contract, OnnxPolicy(options.folder, contract.network))
+    controller = Controller(contract, OnnxPolicy(folder, contract.network))
     _check_speed(options.speed, contract)
     load_sdk(options.interface)
     sdk_on_stderr()
     link = UnitreeLink(contract, options.interface, options.tag, pace)
     missed_s = options.limits.missed_ticks * contract.timing.control_step_s
-    guardian = None if options.dry_run else Guardian(options.folder, options.interface, options.tag, pace, missed_s)
+    guardian = None if options.dry_run else Guardian(folder, options.interface, options.tag, pace, missed_s)
     console = Console()
     say = _Sayer(console, pace)
     session = Session(
@@ -227,6 +228,6 @@ def _save(console: Console, options: Options, contract: Contract, session: Sessi
     if len(session.ticks.time) < 3:
         console.print("the robot was never commanded; no walk was recorded", highlight=False)
         return
-    rollout, more = to_rollout(options.folder, contract, session.ticks, out.stem)
+    rollout, more = to_rollout(contracts.located(options.folder), contract, session.ticks, out.stem)
     rollout.save(out, **more)
     console.print(f"wrote {out}: `humoslope replay {out}` shows it", highlight=False, soft_wrap=True)

@@ -31,8 +31,9 @@ class Options:
 def run(arguments: list[str]) -> None:
     """Examines the walk named in `arguments`."""
     options, console = tyro.cli(Options, args=arguments, prog="humoslope doctor"), Console()
-    contract = contracts.read(options.folder)
-    findings = diagnose.diagnose(options.log, options.folder, contract, OnnxPolicy(options.folder, contract.network))
+    folder = contracts.located(options.folder)
+    contract = contracts.read(folder)
+    findings = diagnose.diagnose(options.log, folder, contract, OnnxPolicy(folder, contract.network))
     table = Table("", "check", "finding")
     for finding in findings:
         table.add_row("[red]out[/red]" if finding.wrong else "ok", finding.check, finding.words)

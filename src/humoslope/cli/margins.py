@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from humoslope.cli.arguments import parse_options
 from humoslope.cpu import usable_cores
+from humoslope.deploy import contract as contracts
 from humoslope.deploy.conditions import NOMINAL
 from humoslope.deploy.player import SETTLE_S, Slope, TrialCfg
 from humoslope.errors import UserError
@@ -81,7 +82,13 @@ def run(arguments: list[str]) -> None:
     json_path, store_path, figure_path = (out.with_name(out.name + end) for end in (".json", ".trials.json", ".png"))
     nominal = TrialCfg(grade=options.grade, speed=options.speed, seconds=options.seconds, seed=options.seed)
     certificate = Certificate(
-        options.folder, nominal, options.quantities, options.rule, options.success, options.model, store_path
+        contracts.located(options.folder),
+        nominal,
+        options.quantities,
+        options.rule,
+        options.success,
+        options.model,
+        store_path,
     )
     check_place(json_path)
     run_trials(console, certificate.store, certificate.run, store_path, options.processes)

@@ -54,7 +54,7 @@ def subject(path: Path) -> Subject:
     Raises:
         UserError: If it is none of them, or of a task or a robot that is not registered.
     """
-    if (path / contracts.FILE).is_file():
+    if (contracts.located(path) / contracts.FILE).is_file():
         load_content()
         return of_export(path)
     return of_checkpoint(*trained(path))

@@ -11,10 +11,11 @@ import tyro
 
 from humoslope.cli.overrides import task_rules
 from humoslope.env import EnvCfg
+from humoslope.errors import UserError
 from humoslope.learning.config import AgentCfg
 from humoslope.learning.run_folder import saved_options
 from humoslope.presets import Preset, apply_preset, resolve_preset
-from humoslope.registry import TaskCfg, build_task
+from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
 
 
 class HasPreset(Protocol):
@@ -40,6 +41,23 @@ class _Command(Generic[A]):
     own: Annotated[A, tyro.conf.arg(name="")]
     env: EnvCfg
     agent: AgentCfg
+
+
+def named_task(verb: str, arguments: list[str]) -> tuple[str, list[str]] | None:
+    """The task that the arguments of a verb begin with, and the options after it; None if help was asked for in its
+    place, and printed.
+
+    Raises:
+        UserError: If they begin with none.
+    """
+    load_content()
+    if arguments[:1] in (["-h"], ["--help"]):
+        print(f"humoslope {verb} TASK [...]; humoslope {verb} TASK --help lists every option.\n")
+        print("\n".join(f"  {name}  {line}" for name, line in all_tasks().items()))
+        return None
+    if not arguments or arguments[0].startswith("-"):
+        raise UserError(f"{verb} needs a task: {', '.join(all_tasks())}.")
+    return arguments[0], arguments[1:]
 
 
 def parse(own: A, task: str, options: list[str], verb: str = "train", base: TaskCfg | None = None) -> tuple[TaskCfg, A]:

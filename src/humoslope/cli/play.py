@@ -22,7 +22,6 @@ from humoslope.deploy.player import SETTLE_S, Player, Trial, TrialCfg, run_trial
 from humoslope.deploy.views import Live
 from humoslope.errors import UserError
 from humoslope.ranges import Checked
-from humoslope.shipped import found
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +62,7 @@ def run(arguments: list[str]) -> None:
     if not options.headless and any(given.values()):
         asked = ", ".join(name for name, value in given.items() if value)
         raise UserError(f"a live walk is steered by hand, and nobody pushes it; {asked}: only with --headless.")
-    folder = found(options.folder)
+    folder = contracts.located(options.folder)
     contract = contracts.read(folder)
     kind = views.chosen(options.live.view)
     if kind is None and not options.headless:

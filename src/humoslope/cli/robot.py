@@ -77,10 +77,11 @@ def run(arguments: list[str]) -> None:
     options = parse_options(Options, arguments, "robot")
     if options.out is not None:
         check_place(options.out)
-    contract = contracts.read(options.folder)
+    folder = contracts.located(options.folder)
+    contract = contracts.read(folder)
     pace, person = pace_on(options.interface, options.slower), Person(options.script, waits=True)
     robot = SimulatedRobot(
-        options.folder,
+        folder,
         contract,
         options.grade,
         options.cross,

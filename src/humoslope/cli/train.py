@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from rich.console import Console
 
-from humoslope.cli.options import configuration_of, early, parse
+from humoslope.cli.options import configuration_of, early, named_task, parse
 from humoslope.cli.warm_start import Origin, find_origin
 from humoslope.cpu import thread_advice, usable_cores
 from humoslope.env import ManagerBasedRlEnv
@@ -25,7 +25,7 @@ from humoslope.learning.run_folder import LOOKING, claimed, find_run, record_sta
 from humoslope.learning.trainer import Trainer
 from humoslope.learning.videos import IntervalVideos
 from humoslope.presets import Preset
-from humoslope.registry import TaskCfg, all_tasks, build_task, load_content
+from humoslope.registry import TaskCfg, build_task
 from humoslope.words import merge_options, option_groups
 
 ONCE = ("--resume", "--run-dir", "--init", "--calibration", *LOOKING)
@@ -68,14 +68,10 @@ class TrainArgs:
 
 def run(arguments: list[str]) -> None:
     """Trains the task named first in `arguments`."""
-    load_content()
-    if arguments and arguments[0] in ("-h", "--help"):
-        print("humoslope train TASK [...]; humoslope train TASK --help lists every option.\n")
-        print("\n".join(f"  {name}  {line}" for name, line in all_tasks().items()))
+    named = named_task("train", arguments)
+    if named is None:
         return
-    if not arguments or arguments[0].startswith("-"):
-        raise UserError(f"train needs a task: {', '.join(all_tasks())}.")
-    task, options = arguments[0], arguments[1:]
+    task, options = named
     earlier = build_task(task).start  # a typing mistake in the name is said before anything else
 
     if {"-h", "--help"} & set(options):

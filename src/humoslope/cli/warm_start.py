@@ -10,7 +10,7 @@ from humoslope.errors import UserError
 from humoslope.evaluation.swing.file import calibration_path, check_belongs, load_calibration
 from humoslope.learning import checkpoint
 from humoslope.learning.policy import Provenance, find_checkpoint, read_provenance
-from humoslope.learning.run_folder import runs_of
+from humoslope.learning.run_folder import LOGS, runs_of
 from humoslope.registry import WarmStartCfg
 
 PRIOR = "prior"
@@ -76,6 +76,6 @@ def _newest(start: WarmStartCfg) -> Path:
     if walker.is_file():
         return walker
     raise UserError(
-        f"this task starts from a checkpoint of {start.task}, and there is none under {Path('logs') / start.task}; "
+        f"this task starts from a checkpoint of {start.task}, and there is none under {LOGS}; "
         "train that first, or name a checkpoint with --init."
     )

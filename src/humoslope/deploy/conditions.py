@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
-from humoslope.errors import require_not_negative, require_positive
+from humoslope.ranges import Checked, NotNegative, Positive, Range, Timestep
+
+Angle = Annotated[float, Range(-math.pi, math.pi)]
+"""An angle, rad."""
 
 
 @dataclass(frozen=True)
-class Conditions:
+class Conditions(Checked):
     """Disturbances of a robot in plain MuJoCo. The defaults change nothing.
 
     Attributes:
@@ -30,24 +35,18 @@ class Conditions:
         UserError: If a value is impossible.
     """
 
-    friction: float | None = None
-    load_kg: float = 0.0
-    load_body: str = "torso_link"
-    delay_s: float = 0.0
-    strength: float = 1.0
-    encoder_bias_rad: tuple[float, ...] = ()
-    imu_tilt_rad: tuple[float, float] = (0.0, 0.0)
-    push_m_s: float = 0.0
-    push_every_s: float = 5.0
-    timestep_s: float | None = None
+    VERB: ClassVar[str] = "conditions"
 
-    def __post_init__(self) -> None:
-        require_not_negative("conditions", load_kg=self.load_kg, delay_s=self.delay_s, push_m_s=self.push_m_s)
-        require_positive("conditions", strength=self.strength, push_every_s=self.push_every_s)
-        if self.friction is not None:
-            require_not_negative("conditions", friction=self.friction)
-        if self.timestep_s is not None:
-            require_positive("conditions", timestep_s=self.timestep_s)
+    friction: NotNegative | None = None
+    load_kg: NotNegative = 0.0
+    load_body: str = "torso_link"
+    delay_s: Annotated[float, Range(0.0, 10.0)] = 0.0
+    strength: Positive = 1.0
+    encoder_bias_rad: tuple[Angle, ...] = ()
+    imu_tilt_rad: tuple[Angle, Angle] = (0.0, 0.0)
+    push_m_s: Annotated[float, Range(0.0, 100.0)] = 0.0
+    push_every_s: Positive = 5.0
+    timestep_s: Timestep | None = None
 
 
 NOMINAL = Conditions()

@@ -19,6 +19,7 @@ from humoslope.deploy.quantities import CUSTOM, FEET, GAIT_PHASE, QUANTITIES
 from humoslope.deploy.typed_json import typed
 from humoslope.errors import UserError, unknown
 from humoslope.seal import check_sums
+from humoslope.shipped import found
 
 FILE = "policy.json"
 VERSION = 2
@@ -345,6 +346,11 @@ class Contract:
     def to_json(self) -> str:
         """The contract as JSON, with values on one line where they fit."""
         return _pretty(_written(self), "") + "\n"
+
+
+def located(folder: Path) -> Path:
+    """`folder`; or, where it holds no contract, the export of that name that comes with HumoSlope."""
+    return found(folder / FILE).parent
 
 
 def read(folder: Path) -> Contract:

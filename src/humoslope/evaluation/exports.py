@@ -119,11 +119,12 @@ def of_export(folder: Path) -> Subject:
         UserError: If the export is broken, its robot is not registered or has changed, or it sees what only the code
             that it was trained with can compute.
     """
-    contract = contracts.read(folder)
-    policy = OnnxPolicy(folder, contract.network)
+    source = contracts.located(folder)
+    contract = contracts.read(source)
+    policy = OnnxPolicy(source, contract.network)
     provenance = dataclasses.replace(
         _provenance(contract.training, folder),
-        sha256=digest(folder / contracts.FILE),
+        sha256=digest(source / contracts.FILE),
         formerly=(contract.training.sha256,),
         variant=contract.training.origin,
     )

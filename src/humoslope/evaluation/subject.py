@@ -12,6 +12,7 @@ from torch import Tensor
 from humoslope.env import EnvCfg, ManagerBasedRlEnv
 from humoslope.learning.policy import Provenance, load_actor, read_spec
 from humoslope.registry import TaskCfg
+from humoslope.shipped import found
 
 Policy = Callable[[TensorDict], Tensor]
 """Actions [N, J] for the observations of all envs."""
@@ -36,7 +37,7 @@ class Subject:
     def beside(self, ending: str) -> Path:
         """Returns the path of a result: beside a checkpoint, with its name, or in an export folder."""
         path = self.provenance.path
-        return path / ending if path.is_dir() else path.with_suffix(f".{ending}")
+        return path / ending if found(path).is_dir() else path.with_suffix(f".{ending}")
 
 
 def of_checkpoint(provenance: Provenance, task: TaskCfg) -> Subject:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from humoslope.registry import TaskCfg
 
 
+LOGS = Path("logs")
+"""Where runs lie that are given no other place."""
 LOOKING = ("--watch", "--no-watch", "--watch-worlds", "--web-port", "--port", "--video-every")
 """Options that let somebody look on, change nothing in a training, and are not recorded."""
 
@@ -72,7 +74,7 @@ def claimed(run_dir: Path | None, task: str, new: bool) -> Iterator[Path]:
 
 def _made(run_dir: Path | None, task: str) -> tuple[Path, list[Path]]:
     """The run folder, and the folders that were made for it, innermost first."""
-    base = Path("logs") / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    base = LOGS / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     names = [run_dir] if run_dir is not None else [base, *(base.with_name(f"{base.name}_{n}") for n in range(2, 1000))]
     for path in names:
         check_place(path / "config.json")
@@ -174,13 +176,20 @@ def find_run(task: str, which: str) -> Path:
         return path
     runs = runs_of(task)
     if not runs:
-        raise UserError(f"there is no run of {task} with a checkpoint under {Path('logs') / task}.")
+        raise UserError(f"there is no run of {task} with a checkpoint under {LOGS}.")
     return runs[-1]
 
 
 def runs_of(task: str) -> list[Path]:
-    """The run folders of a task under logs/ that hold a checkpoint, newest last."""
-    return sorted(p for p in (Path("logs") / task).glob("*") if any(p.glob("model_*.pt")))
+    """The run folders of a task that hold a checkpoint, in logs/TASK/ or, as --run-dir may have it, in logs/; the one
+    that was begun last is the last."""
+    begun = {}
+    for path in (*(LOGS / task).glob("*"), *LOGS.glob("*")):
+        if any(path.glob("model_*.pt")):
+            about = start_of(path) or {}
+            if path.parent.name == task or about.get("task") == task:
+                begun[path] = about.get("time", path.name)
+    return sorted(begun, key=lambda path: (begun[path], path.name))
 
 
 class _Both:

@@ -9,6 +9,7 @@ import numpy as np
 
 from humoslope.errors import UserError
 from humoslope.files import write_atomically
+from humoslope.plotting import with_ending
 from humoslope.terrain import course, registry
 from humoslope.terrain.course import Course
 from humoslope.terrain.grid import SPAWN_X, TerrainGridCfg, tile_points
@@ -38,7 +39,7 @@ def run(name: str, out: Path, *, seed: int = 0) -> Path:
     Raises:
         UserError: If there is no such terrain, or the picture cannot be written or is no PNG.
     """
-    out = out if out.suffix else out.with_suffix(".png")
+    out = with_ending(out)
     if out.suffix != ".png":
         raise UserError(f"the picture of a terrain is a PNG; '{out}' must end in .png.")
     kind = registry.find(name)

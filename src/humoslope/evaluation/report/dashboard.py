@@ -24,7 +24,7 @@ from humoslope.learning.run_folder import starts
 
 PANELS = (
     Panel("Train/reward", "reward per second"),
-    Panel("Train/falls_per_second", "falls per env and second", low=0.0),
+    Panel("Train/falls_per_second", "falls per second", low=0.0),
     Panel("Train/speed", "speed, m/s", low=0.0),
     Panel("Curriculum/harness", "harness", 0.0, 1.0),
     Panel("Curriculum/terrain_levels", "terrain level", low=0.0),

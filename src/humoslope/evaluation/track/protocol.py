@@ -65,7 +65,7 @@ class HeldOutProtocol(Checked):
     fall_contact_s: Positive = 0.1
     fall_tilt: NotNegative = 70.0
     fall_com_height: Finite = 0.25
-    start_place: Finite = 0.5
+    start_place: NotNegative = 0.5
     start_along: NotNegative = 0.1
     start_yaw: NotNegative = 5.0
     start_joints: NotNegative = 0.05
@@ -94,13 +94,18 @@ class HeldOutProtocol(Checked):
         """The course of this protocol.
 
         Raises:
-            UserError: If there is no course of that name, or a grade or the place of success is not on it.
+            UserError: If there is no course of that name, or a grade, the start or the place of success is not on it.
         """
         found = course.find(self.course)
         found.ground(self.grades)
         if self.success_place > found.length:
             raise UserError(
                 f"evaluate: success_place is {self.success_place:g} m; '{self.course}' is {found.length:g} m long."
+            )
+        if self.start_place >= self.success_place:
+            raise UserError(
+                f"evaluate: start_place is {self.start_place:g} m; it must lie before success_place, "
+                f"{self.success_place:g} m."
             )
         return found
 

@@ -69,13 +69,18 @@ def evaluate(subjects: list[Subject], plan: Plan, console: Console) -> int:
         0 if all trials are finished, else the signal that ended the evaluation early.
 
     Raises:
-        UserError: If the plan is impossible, or a policy is given twice.
+        UserError: If the plan is impossible, a policy is given twice, or two are of different tasks.
     """
     plan.protocol.find_course()
     sources = [subject.provenance for subject in subjects]
     for i, source in enumerate(sources):
         if source.sha256 in (other.sha256 for other in sources[:i]):
             raise UserError(f"evaluate: checkpoint '{source.path}' is given twice; its trials would count twice.")
+        if source.task != sources[0].task:
+            raise UserError(
+                f"evaluate: '{sources[0].path}' is of {sources[0].task} and '{source.path}' of {source.task}; only "
+                "trials of one method are pooled, so evaluate each of them by itself."
+            )
     out = plan.out or subjects[0].beside("sweep" if plan.sweep else "heldout")
     check_place(_beside(out, ".json"))
 
