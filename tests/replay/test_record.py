@@ -87,6 +87,28 @@ def test_the_ground_is_that_of_the_ramp_ahead(rollout: Rollout) -> None:
     assert rollout.columns.ground_normal_w[0, 2] > 0.99
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_slope_bank_and_normal_are_those_of_the_ground_under_the_robot(walk: Callable[..., Rollout], seed: int) -> None:
+    """On a plane that rises in a direction of its own."""
+    protocol = RecordProtocol(terrain="hillside", grade=20.0, seconds=0.04, seed=seed)
+    rollout = walk("HumoSlope-Stage1-Unitree-G1", protocol)
+    c, terrain = rollout.columns, rollout.header["terrain"]
+    x, y = (round((c.root_pos_w[0, i] - terrain["origin"][i]) / terrain["cell"]) for i in (0, 1))
+    around = rollout.terrain_heights[x - 4 : x + 5, y - 4 : y + 5]
+    rise = [float(np.diff(around, axis=axis).mean()) / terrain["cell"] for axis in (0, 1)]
+    assert math.hypot(*rise) == pytest.approx(math.tan(math.radians(20.0)), rel=1e-3)
+    np.testing.assert_allclose(
+        c.ground_normal_w[0], np.array([-rise[0], -rise[1], 1.0]) * math.cos(math.radians(20.0)), atol=0.01
+    )
+    w, _, _, z = c.root_quat_w[0]
+    yaw = 2.0 * math.atan2(z, w)
+    ahead = rise[0] * math.cos(yaw) + rise[1] * math.sin(yaw)
+    left = rise[1] * math.cos(yaw) - rise[0] * math.sin(yaw)
+    assert c.slope[0] == pytest.approx(math.atan(ahead), abs=0.02)
+    assert c.bank[0] == pytest.approx(math.atan(left), abs=0.02)
+    assert (c.uphill[0], c.downhill[0]) == (c.slope[0] > 0.05, c.slope[0] < -0.05)
+
+
 def test_only_a_task_that_asks_for_a_com_height_has_a_target(rollout: Rollout, walk: Callable[..., Rollout]) -> None:
     assert np.isnan(rollout.columns.com_height_target).all()
     second = walk("HumoSlope-Stage2-Unitree-G1", RecordProtocol(terrain="flat", seconds=0.2))
