@@ -87,6 +87,8 @@ def without_options(task):
         (["--env.sim.cone", "elliptic"], "env.sim.cone", "elliptic"),
         (["--env.observations.actor.no-enable-corruption"], "env.observations.actor.enable_corruption", False),
         (["--agent.hidden-dims", "64", "32"], "agent.hidden_dims", [64, 32]),
+        (["--agent.critic-hidden-dims", "64", "32"], "agent.critic_hidden_dims", [64, 32]),
+        (["--agent.activation", "tanh"], "agent.activation", "tanh"),
         (["--preset", "gpu", "--env.num-envs", "16"], "env.num_envs", 16),
     ],
 )
@@ -222,6 +224,8 @@ def test_an_option_replaces_one_of_the_same_name_however_it_is_spelt():
         ("num_mini_batches", 0),
         ("hidden_dims", ()),
         ("hidden_dims", (8, 0)),
+        ("critic_hidden_dims", ()),
+        ("activation", "elo"),
         ("init_std", 0.0),
         ("learning_rate", -1e-3),
         ("learning_rate", float("nan")),

@@ -347,6 +347,21 @@ def test_a_checkpoint_of_another_width_is_refused_with_the_option_that_helps(on_
         trainer.resume(finished / "model_2.pt")
 
 
+def test_a_checkpoint_of_another_activation_is_refused_with_the_option_that_helps(on_shared_env, finished):
+    trainer = on_shared_env("--agent.activation", "tanh")
+    with pytest.raises(UserError, match=r"has the activation elu, this run's tanh; add --agent.activation elu\."):
+        trainer.warm_start(finished / "model_2.pt")
+
+
+def test_actor_and_critic_have_the_layers_that_are_asked_for(on_shared_env):
+    options = ("--agent.hidden-dims", "12", "10", "--agent.critic-hidden-dims", "6", "--agent.activation", "tanh")
+    algorithm = on_shared_env(*options).learner.alg
+    for network, widths in ((algorithm.actor, [12, 10]), (algorithm.critic, [6])):
+        linear = [layer for layer in network.mlp if isinstance(layer, torch.nn.Linear)]
+        assert [layer.out_features for layer in linear[:-1]] == widths
+        assert sum(isinstance(layer, torch.nn.Tanh) for layer in network.mlp) == len(widths)
+
+
 def test_more_mini_batches_than_samples_are_refused(on_shared_env):
     with pytest.raises(UserError, match="num_mini_batches 64 is more than the 32 samples of a rollout"):
         on_shared_env("--agent.num-mini-batches", "64")

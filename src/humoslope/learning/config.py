@@ -58,12 +58,20 @@ class AgentCfg(StrictCfg):
         raise UserError(f"agent {type(self).__name__} has no learner; define build(env).")
 
 
+Width = Annotated[int, Range(1, 16_384)]
+"""Number of neurons of a layer."""
+Activation = Literal["elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "gelu", "swish", "mish"]
+"""Those that rsl_rl knows by name, except the identity."""
+
+
 @dataclass
 class PpoCfg(AgentCfg):
     """rsl_rl's PPO and its networks. Defaults are Unitree RL Lab's, except those marked as ours.
 
     Attributes:
-        hidden_dims: Widths of the hidden layers of actor and critic, both with ELU.
+        hidden_dims: Widths of the hidden layers of the actor.
+        critic_hidden_dims: Widths of those of the critic; the actor's if None.
+        activation: Activation after each hidden layer of both.
         init_std: Standard deviation of the first actions.
         obs_normalization: Scale observations by their running mean and standard deviation (ours).
         least_obs_std: Least standard deviation that a normalised observation is divided by (ours). What is always the
@@ -88,7 +96,9 @@ class PpoCfg(AgentCfg):
         mixed_precision: Run the update in bfloat16; pays on GPUs and on CPUs with bfloat16 instructions.
     """
 
-    hidden_dims: Annotated[tuple[Annotated[int, Range(1, 16_384)], ...], NotEmpty()] = (512, 256, 128)
+    hidden_dims: Annotated[tuple[Width, ...], NotEmpty()] = (512, 256, 128)
+    critic_hidden_dims: Annotated[tuple[Width, ...], NotEmpty()] | None = None
+    activation: Activation = "elu"
     # Ours, measured on the CPU: 1.0 throws the robot over before it learns to stand.
     init_std: Annotated[float, Range(1e-3, 100.0)] = 0.8
     obs_normalization: bool = True
@@ -141,8 +151,7 @@ class PpoCfg(AgentCfg):
         self.check()
         network = {
             "class_name": "humoslope.learning.networks:Network",
-            "hidden_dims": list(self.hidden_dims),
-            "activation": "elu",
+            "activation": self.activation,
             "obs_normalization": self.obs_normalization,
             "least_std": self.least_obs_std,
         }
@@ -153,8 +162,12 @@ class PpoCfg(AgentCfg):
             # The environment watches for non-finite values itself, without waiting for the device.
             "check_for_nan": False,
             "torch_compile_mode": "default" if self.torch_compile else None,
-            "actor": network | {"distribution_cfg": {"class_name": "GaussianDistribution", "init_std": self.init_std}},
-            "critic": dict(network),
+            "actor": network
+            | {
+                "hidden_dims": list(self.hidden_dims),
+                "distribution_cfg": {"class_name": "GaussianDistribution", "init_std": self.init_std},
+            },
+            "critic": network | {"hidden_dims": list(self.critic_hidden_dims or self.hidden_dims)},
             "algorithm": {
                 "class_name": "humoslope.learning.ppo:WarmStartPpo",
                 "num_learning_epochs": self.num_learning_epochs,

@@ -59,9 +59,10 @@ class PpoLearner(OnPolicyRunner):
             rollout = 4 * cfg.num_steps_per_env * width
             batch = rollout * (2 if cfg.symmetry else 1) / cfg.num_mini_batches
             require_memory("env.num_envs", env.num_envs, rollout + batch, f" with rollouts of {cfg.num_steps_per_env}")
-            weights = sum(a * b for a, b in pairwise((width, *cfg.hidden_dims, env.robot.num_joints)))
-            # Actor and critic, with gradients and two moments of Adam, in single precision.
-            require_memory("the number of the networks' weights", weights, 2 * 4 * 4)
+            layers = (cfg.hidden_dims, cfg.critic_hidden_dims or cfg.hidden_dims)
+            weights = sum(a * b for dims in layers for a, b in pairwise((width, *dims, env.robot.num_joints)))
+            # With gradients and two moments of Adam, in single precision.
+            require_memory("the number of the networks' weights", weights, 4 * 4)
         if cfg.symmetry:
             augment = Mirror(env).augment
             rsl_rl_cfg["algorithm"]["symmetry_cfg"] = {

@@ -435,6 +435,12 @@ class Trainer:
                 f"the policy of checkpoint '{path}' has hidden layers of {widths}, this run's of {own}; "
                 f"add --agent.hidden-dims {' '.join(map(str, widths))}."
             )
+        activation, ours_has = (spec.settings.get("activation") for spec in (trained, ours))
+        if activation != ours_has:
+            raise UserError(
+                f"the policy of checkpoint '{path}' has the activation {activation}, this run's {ours_has}; add "
+                f"--agent.activation {activation}."
+            )
         bound, own_bound = (spec.settings.get("bound") for spec in (trained, ours))
         if bound != own_bound:
             raise UserError(

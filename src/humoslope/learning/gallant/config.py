@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from humoslope.learning.config import PpoCfg
+from humoslope.learning.config import Activation, PpoCfg, Width
 from humoslope.ranges import NotEmpty, NotNegative, Range
 
 if TYPE_CHECKING:
     from humoslope.env import ManagerBasedRlEnv
     from humoslope.learning.learner import Learner
 
-Width = Annotated[int, Range(1, 16_384)]
 COLUMNS = "voxels"
 """Observation group of the voxel columns."""
 
@@ -36,6 +35,7 @@ class GallantCfg(PpoCfg):
     """
 
     hidden_dims: Annotated[tuple[Width, ...], NotEmpty()] = (256,)
+    activation: Activation = "mish"
     num_steps_per_env: Annotated[int, Range(1, 100_000)] = 48
     num_learning_epochs: Annotated[int, Range(1, 1000)] = 4
     learning_rate: Annotated[float, Range(0.0, 1.0, open_low=True)] = 5e-4
@@ -84,7 +84,6 @@ class GallantCfg(PpoCfg):
         for name in ("actor", "critic"):
             told[name] |= {
                 "class_name": "humoslope.learning.gallant.network:GallantNetwork",
-                "activation": "mish",
                 "proprioception_dim": self.proprioception_dim,
                 "voxel_channels": self.voxel_channels,
                 "voxel_dim": self.voxel_dim,
