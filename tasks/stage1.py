@@ -176,7 +176,7 @@ def randomisation() -> Terms[EventTermCfg]:
     policy really carries.
     """
     return Terms(
-        mass=EventTermCfg(events.randomize_mass, {"body": "torso_link", "added": (-1.0, 6.0)}, mode="startup"),
+        mass=EventTermCfg(events.randomize_mass, {"body": "torso_link", "added": (-1.0, 3.0)}, mode="startup"),
         com=EventTermCfg(events.randomize_com, {"body": "torso_link", "offset": 0.03}, mode="startup"),
         link_masses=EventTermCfg(randomization.randomize_link_masses, {"factor": (0.9, 1.1)}, mode="startup"),
         gains=EventTermCfg(events.randomize_gains, {"stiffness": (0.9, 1.1), "damping": (0.9, 1.1)}, mode="startup"),
@@ -186,7 +186,7 @@ def randomisation() -> Terms[EventTermCfg]:
         encoders=EventTermCfg(randomization.randomize_encoder_bias, {"bias": 0.02}, mode="startup"),
         imu_mounting=EventTermCfg(randomization.randomize_imu_mounting, {"tilt": 0.07}, mode="startup"),
         contact_softness=EventTermCfg(
-            randomization.randomize_contact_softness, {"time_constant": (0.02, 0.03)}, mode="startup"
+            randomization.randomize_contact_softness, {"time_constant": (0.02, 0.025)}, mode="startup"
         ),
         gyro_bias=EventTermCfg(randomization.randomize_gyro_bias, {"bias": 0.05}),
         control_delay=EventTermCfg(randomization.randomize_control_delay, {"delay": (0.0, LATEST)}),
