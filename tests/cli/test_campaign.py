@@ -172,6 +172,7 @@ def test_mistakes_are_said_in_one_sentence(folder: Path, mistake: Callable[..., 
         return mistake("campaign", "bad.toml", *options)
 
     assert "does not exist" in mistake("campaign", "nothing.toml")
+    assert "give one of them" in mistake("campaign", "tiny.toml", "--dry-run", "--pack", "packed")
     assert "--jobs must be 1 or more" in mistake("campaign", "tiny.toml", "--jobs", "0")
     assert "is the folder of the campaign itself" in mistake("campaign", "tiny.toml", "--pack", "logs/tiny")
     assert f"train.full: task '{SECOND}x' does not exist; did you mean" in said(SECOND, SECOND + "x")

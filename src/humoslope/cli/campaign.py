@@ -64,6 +64,10 @@ def run(arguments: list[str]) -> None:
     options = tyro.cli(Options, args=arguments, prog="humoslope campaign")
     if options.jobs < 1 or options.threads < 0:
         raise UserError("campaign: --jobs must be 1 or more, and --threads 0 or more.")
+    if options.dry_run and options.pack is not None:
+        raise UserError(
+            "campaign: --dry-run says what there is to do, and --pack writes what is done; give one of them."
+        )
     require_not_negative("campaign", speed=options.speed)
     campaign = read_campaign(options.file)
     load_content()

@@ -17,7 +17,7 @@ class Conditions(Checked):
     """Disturbances of a robot in plain MuJoCo. The defaults change nothing.
 
     Attributes:
-        friction: Coefficient of friction between feet and ground; null for the course's own.
+        friction: Coefficient of friction between feet and ground; by default the course's own.
         load_kg: Mass added to `load_body` at its centre of mass, as a point.
         load_body: Body that carries the load.
         delay_s: Time between a new joint target and its effect, in addition to the age of the observation; rounded to
@@ -29,7 +29,7 @@ class Conditions(Checked):
             mounted into the IMU as it is.
         push_m_s: Horizontal speed, in a random direction, that a push adds to the whole robot.
         push_every_s: Time between pushes; the first one comes after this time.
-        timestep_s: Physics step; null for the contract's. The age of the observation stays the contract's.
+        timestep_s: Physics step, s; by default the contract's. The age of the observation stays the contract's.
 
     Raises:
         UserError: If a value is impossible.

@@ -50,7 +50,8 @@ class TrialCfg(Checked):
         trials: Number of trials, each from another random start. More than one need --headless.
         seed: Seed of the random starts.
         cross: Slope of the ground across the course, degrees; positive rises to the left. Only without a ramp.
-        yaw_rate: Commanded yaw rate, rad/s, positive to the left; null to steer along the course. Needs --headless.
+        yaw_rate: Commanded yaw rate, rad/s, positive to the left; by default that which keeps it on the course. Needs
+            --headless.
         lateral: Commanded speed to the left, m/s; negative is to the right. Needs --headless.
     """
 

@@ -50,8 +50,8 @@ class Faults(Checked):
         imu_delay_s: Additional age of the IMU's part, s.
         drop: Share of messages that are lost.
         corrupt: Share of messages with one absurd number.
-        silent_at_s: Time after which the robot says nothing more, s; null for never.
-        swap: Names of two joints whose encoders are exchanged, such as left_knee_joint,right_knee_joint.
+        silent_at_s: Time after which the robot says nothing more, s; by default never.
+        swap: Names of two joints whose encoders are exchanged, such as left_knee_joint right_knee_joint.
         mirrored: Left and right joints are exchanged.
         flip: Name of a joint whose encoder counts backward.
         velocity_scale: Factor on joint velocities.
