@@ -222,7 +222,7 @@ def stage1() -> TaskCfg:
             events=randomisation(),
             curriculum=Terms(
                 harness=harness_curriculum(),
-                standing_harness=TermCfg(harness.StandingHarnessCurriculum),
+                skill_harness=TermCfg(harness.SkillHarnessCurriculum),
                 variety=TermCfg(harness.VaryCommands),
                 fine_rewards=TermCfg(harness.StrengthenRewards, {"rewards": FINE, "by": "withdrawn"}),
                 strict_rewards=TermCfg(harness.StrengthenRewards, {"rewards": STRICT}),

@@ -89,7 +89,7 @@ def url_literal() -> TaskCfg:
             events=randomisation(),
             curriculum=Terms(
                 harness=harness_curriculum(),
-                standing_harness=TermCfg(harness.StandingHarnessCurriculum),
+                skill_harness=TermCfg(harness.SkillHarnessCurriculum),
                 variety=TermCfg(harness.VaryCommands),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),

@@ -266,7 +266,8 @@ def provenance_of(path: Path, state: Mapping[str, Any]) -> Provenance:
 
 def _provenance(record: Mapping[str, Any]) -> Provenance:
     curriculum, parent = record["curriculum"], record["parent"]
-    left = [float(curriculum[name]["scale"]) for name in ("harness", "standing_harness") if name in curriculum]
+    scales = [curriculum[name]["scale"] for name in ("harness", "skill_harness") if name in curriculum]
+    left = [float(scale) for some in scales for scale in (some if isinstance(some, list) else [some])]
     return Provenance(
         path=Path(record["path"]),
         sha256=record["sha256"],

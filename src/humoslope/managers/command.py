@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MODES = ("forward", "backward", "sideways", "turning")
 """Sorts of commands to move. On tiles that are walked along x all are forward."""
+SKILLS = (*MODES, "standing")
+"""Sorts of commands."""
 
 
 @dataclass
@@ -114,6 +116,7 @@ class CommandManager:
         self._steers = env.zeros(dtype=torch.bool)  # [N]
         self._heading = env.zeros()  # [N] rad, the target on tiles that are walked in any direction
         self._stands = env.zeros(dtype=torch.bool)  # [N]
+        self._mode = env.zeros(dtype=torch.int64)  # [N] in MODES, of the latest command to move
         self.variety = torch.ones((), device=env.device)
         self._steps_left = env.zeros()  # [N] control steps until the next draw, whole numbers
         ranges = torch.tensor([cfg.speed, cfg.lateral, cfg.yaw_rate, steps], device=env.device)
@@ -127,6 +130,11 @@ class CommandManager:
     def moving(self) -> Tensor:
         """The envs [N] that are commanded to move."""
         return ~self._stands
+
+    @property
+    def skill(self) -> Tensor:
+        """What each env is commanded to do, [N] int64, as a place in `SKILLS`."""
+        return torch.where(self.moving, self._mode, SKILLS.index("standing"))
 
     def reset(self, mask: Tensor) -> None:
         """Draws new commands for the envs in `mask` [N]."""
@@ -145,7 +153,8 @@ class CommandManager:
         steers = random[:, 5] < self.cfg.heading_share
         velocity = drawn[:, :3]
         if self.cfg.modes:
-            velocity, steers = self._in_modes(velocity, steers)
+            mode, velocity, steers = self._in_modes(velocity, steers)
+            self._mode = torch.where(mask, mode, self._mode)
         self._stands = torch.where(mask, random[:, 4] < self.cfg.standing_share * self.variety, self._stands)
         self._steers = torch.where(mask, steers, self._steers)
         self._yaw_rate = torch.where(mask, velocity[:, 2], self._yaw_rate)
@@ -154,8 +163,9 @@ class CommandManager:
         linear = torch.where(mask[:, None], velocity[:, :2], self.velocity[:, :2])
         return linear.masked_fill(self._stands[:, None], 0.0)
 
-    def _in_modes(self, velocity: Tensor, steers: Tensor) -> tuple[Tensor, Tensor]:
+    def _in_modes(self, velocity: Tensor, steers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Draws a mode for each env; forward commands, those on tiles walked along x among them, stay as they are.
+        Returns mode, velocity and whether the env steers.
 
         Args:
             velocity: [N, 3] drawn as a forward command.
@@ -175,7 +185,7 @@ class CommandManager:
         aside = round_.cos() * speed[:, 1] * sideways + (2.0 * round_).sin() * speed[:, 0] * backward
         linear = torch.stack([ahead, side * aside], dim=1) + rest * velocity[:, :2] * turning[:, None]
         other = torch.cat([linear, torch.lerp(velocity[:, 2], yaw_rate, self.variety)[:, None]], dim=1)
-        return torch.where((mode > 0)[:, None], other, velocity), steers & ~turning
+        return mode, torch.where((mode > 0)[:, None], other, velocity), steers & ~turning
 
     def _steer(self, linear: Tensor) -> None:
         self.velocity = torch.cat([linear, self._turn()[:, None]], dim=1)

@@ -6,18 +6,18 @@ It exists in training alone: no evaluation configures it, and a run that used it
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import mujoco
 import torch
 from torch import Tensor
 
 from humoslope.errors import UserError, require_not_negative, require_positive, unknown
-from humoslope.managers.command import commanded_and_walked
+from humoslope.managers.command import MODES, SKILLS, commanded_and_walked
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.managers.terms import StatefulTerm
-from humoslope.mdp.standing import both_feet_down, standing
-from humoslope.ranges import NotNegative, Positive, Share
+from humoslope.mdp.standing import both_feet_down
+from humoslope.ranges import NotNegative, Positive, Range, Share
 from humoslope.slope import quaternion, zmp
 
 if TYPE_CHECKING:
@@ -33,7 +33,8 @@ class Harness(StatefulTerm):
 
     Attributes:
         scale: Present strength, in [0, 1].
-        standing_scale: Strength in envs that are commanded to stand, in [0, 1]; None for that of all.
+        skill_scales: [4] strength in envs that are commanded to do each of `SKILLS` but forward, in [0, 1]; None for
+            `scale` in all.
         strictness: How much is asked for beyond walking, in [0, 1]; it grows when the harness is gone.
 
     Args:
@@ -57,7 +58,7 @@ class Harness(StatefulTerm):
             raise UserError(f"harness: scale {scale} must be between 0 and 1.")
         require_not_negative("harness", support=support, stiffness=stiffness, damping=damping)
         self.scale = torch.tensor(scale, device=env.device)
-        self.standing_scale: Tensor | None = None
+        self.skill_scales: Tensor | None = None
         self.strictness = torch.zeros((), device=env.device)
         self._env = env
         self._lift = support * env.robot.total_mass * zmp.GRAVITY  # N
@@ -79,6 +80,11 @@ class Harness(StatefulTerm):
             raise UserError(f"event '{event}' is not a Harness.")
         return harness
 
+    def held_by_scale(self, env: Env) -> Tensor:
+        """Mask [N] of the envs that `scale` holds."""
+        forward = env.commands.skill == SKILLS.index("forward")
+        return torch.ones_like(forward) if self.skill_scales is None else forward
+
     @property
     def withdrawn(self) -> Tensor:
         """What has been withdrawn of it, a scalar in [0, 1]."""
@@ -86,16 +92,16 @@ class Harness(StatefulTerm):
 
     def __call__(self, env: Env, mask: Tensor) -> None:
         signals, scale = env.signals, self.scale
-        if self.standing_scale is not None:
-            scale = torch.where(env.commands.moving, scale, self.standing_scale)[:, None]  # [N, 1]
+        if self.skill_scales is not None:
+            scale = torch.cat([scale[None], self.skill_scales])[env.commands.skill, None]  # [N, 1]
         torso_up_w = quaternion.matrix(signals.torso_quat_w)[:, :, 2]
         self._write(self._wrench, torso_up_w, signals.torso_ang_vel_w, scale)
 
     def reset(self, mask: Tensor) -> None:
         """Writes the wrench for the start of an episode into `env.start_wrench`."""
         scale = self.scale
-        if self.standing_scale is not None:  # commands are drawn after the start
-            scale = torch.maximum(scale, self.standing_scale)
+        if self.skill_scales is not None:  # commands are drawn after the start
+            scale = torch.maximum(scale, self.skill_scales.max())
         torso_up_w, ang_vel_w = self._chain(self._env.start_qpos, self._env.start_qvel)
         self._write(self._env.start_wrench, torso_up_w, ang_vel_w, scale)
 
@@ -147,6 +153,7 @@ class _Chain:
 
 class HarnessCurriculum(CurriculumTerm):
     """Curriculum: the harness is withdrawn while the robots hardly fall and really walk; then more is asked of them.
+    With a `SkillHarnessCurriculum`, robots are those that are commanded to walk ahead.
 
     First things first: a robot that has to climb, to bear pushes and to step rarely while its support goes, falls ever
     more often, and keeps the rest of its support.
@@ -198,9 +205,10 @@ class HarnessCurriculum(CurriculumTerm):
 
     def step(self, env: Env) -> Tensor:
         """Withdraws a little where it is deserved; returns the scale."""
-        falls = env.terminations.terminated.mean(dtype=torch.float32) / env.step_dt
-        commanded, walked = (speed.sum() for speed in commanded_and_walked(env))
-        # Where every robot is commanded to stand, nothing is learnt about walking.
+        held = self._harness.held_by_scale(env).float()
+        falls = (env.terminations.terminated * held).sum() / (held.sum().clamp(min=1.0) * env.step_dt)
+        commanded, walked = ((speed * held).sum() for speed in commanded_and_walked(env))
+        # Where no robot is commanded to walk, nothing is learnt about it.
         share = torch.where(commanded > 0.0, walked / commanded, self._speed)
         self._falls = torch.lerp(falls, self._falls, self._keep)
         self._speed = torch.lerp(share, self._speed, self._keep)
@@ -235,20 +243,24 @@ class HarnessCurriculum(CurriculumTerm):
         self._harness.scale, self._harness.strictness = mean(self._harness.scale), mean(self._harness.strictness)
 
 
-class StandingHarnessCurriculum(CurriculumTerm):
-    """Curriculum: robots that are commanded to stand lose the harness by how they stand, not by how the others walk.
+class SkillHarnessCurriculum(CurriculumTerm):
+    """Curriculum: robots that are commanded to walk backward, to a side, to turn or to stand lose the harness by how
+    they do that, each sort by itself, and not by how the others walk ahead.
 
-    To stand unaided is another skill than to walk. A robot that walks unaided and is commanded to stand, but cannot,
-    marches on the spot instead: it does not fall, and never learns it.
+    These are skills of their own. A robot that walks ahead unaided and is commanded to stand, but cannot, marches on
+    the spot: it does not fall, and never learns it. One that falls when it walks backward soon stands still instead.
+    Nothing is withdrawn before commands are as varied as they will be.
 
     Attributes:
-        scale: Present scale of the harness in envs that are commanded to stand.
+        scales: [4] present scale of the harness for each of `SKILLS` but forward.
 
     Args:
         event: Name of the `Harness` event.
         rate: Scale withdrawn per second of training time in one env.
-        falls_per_second: Falls per standing env and second from which the harness is left as it is.
-        still_share: Share of the time with both feet on the ground up to which it is left as it is.
+        falls_per_second: Falls per env and second, of the envs with such a command, from which the harness is left as
+            it is.
+        share: Share of what is commanded up to which it is left as it is: of the speed, of the yaw rate, or of the time
+            to stand with both feet on the ground.
         memory_s: Time over which both are averaged, s.
     """
 
@@ -257,49 +269,70 @@ class StandingHarnessCurriculum(CurriculumTerm):
         env: Env,
         event: str = "harness",
         rate: NotNegative = 0.0083,
-        falls_per_second: NotNegative = 0.08,
-        still_share: Share = 0.6,
+        falls_per_second: NotNegative = 0.1,
+        share: Share = 0.6,
         memory_s: Positive = 10.0,
     ) -> None:
         self._harness, self._rate = Harness.of(env, event), rate
-        self._set(self._harness.scale)
-        self._most_falls, self._least_still = falls_per_second, still_share
+        self._most_falls, self._least_share = falls_per_second, share
         self._keep = max(0.0, 1.0 - env.step_dt / memory_s)
-        # Starts as if every robot fell and none stood: nothing is withdrawn before they have proven themselves.
-        self._falls = torch.ones((), device=env.device)  # per second
-        self._still = torch.zeros((), device=env.device)  # share of the time
+        command = env.cfg.command
+        self._places = torch.arange(1, len(SKILLS), device=env.device)
+        asked = [*(command.asks_for(mode) for mode in MODES[1:]), command.standing_share > 0.0]
+        # Starts as if every robot fell and none could do it: nothing is withdrawn before they have proven themselves.
+        self._falls = torch.ones(len(asked), device=env.device)  # per second
+        self._share = torch.zeros(len(asked), device=env.device)
+        self._set(self._harness.scale * torch.tensor(asked, device=env.device))
 
     def step(self, env: Env) -> Tensor:
-        """Withdraws a little where it is deserved; returns the scale."""
-        stands = standing(env)
-        count = stands.sum()
-        falls = (env.terminations.terminated & stands).sum() / (count * env.step_dt)
-        still = both_feet_down(env).sum() / count
-        # Where nobody is commanded to stand, nothing is learnt about it.
-        self._falls = torch.where(count > 0, torch.lerp(falls, self._falls, self._keep), self._falls)
-        self._still = torch.where(count > 0, torch.lerp(still, self._still, self._keep), self._still)
-        deserved = (count > 0) & (self._falls < self._most_falls) & (self._still > self._least_still)
-        self._set((self.scale - self._rate * env.step_dt * deserved).clamp(min=0.0))
-        env.log.add("Train/stand_still", self._still)
-        return self.scale
+        """Withdraws a little where it is deserved; returns the mean scale."""
+        asked, done = _asked_and_done(env)
+        each = torch.stack([torch.ones_like(asked), asked, done, env.terminations.terminated.to(asked.dtype)])  # [4, N]
+        of_skill = (env.commands.skill[:, None] == self._places).to(each.dtype)  # [N, 4]
+        count, asked, done, fell = each @ of_skill  # [4] each
+        # Where nobody is commanded to do it, nothing is learnt about it.
+        there = (count > 0.0) & (asked > 0.0)
+        falls = torch.where(there, fell / (count * env.step_dt), self._falls)
+        share = torch.where(there, done / asked, self._share)
+        self._falls = torch.lerp(falls, self._falls, self._keep)
+        self._share = torch.lerp(share, self._share, self._keep)
+        deserved = there & (self._falls < self._most_falls) & (self._share > self._least_share)
+        deserved = deserved & (env.commands.variety >= 1.0)
+        self._set((self.scales - self._rate * env.step_dt * deserved).clamp(min=0.0))
+        for i, skill in enumerate(SKILLS[1:]):
+            env.log.add(f"Skill/{skill}", self._share[i])
+            env.log.add(f"Harness/{skill}", self.scales[i])
+        return self.scales.mean()
 
-    def _set(self, scale: Tensor) -> None:
-        self.scale = self._harness.standing_scale = scale
+    def _set(self, scales: Tensor) -> None:
+        self.scales = self._harness.skill_scales = scales
 
     def state_dict(self) -> dict[str, Any]:
-        """Scale, fall rate and share of the time with both feet down."""
-        return {"scale": self.scale.item(), "falls": self._falls.item(), "still": self._still.item()}
+        """Scales, fall rates and shares."""
+        return {"scale": self.scales.tolist(), "falls": self._falls.tolist(), "share": self._share.tolist()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores the result of `state_dict`."""
         device = self._falls.device
         self._set(torch.tensor(state["scale"], device=device))
-        self._falls, self._still = (torch.tensor(state[name], device=device) for name in ("falls", "still"))
+        self._falls, self._share = (torch.tensor(state[name], device=device) for name in ("falls", "share"))
 
     def average(self, mean: Callable[[Tensor], Tensor]) -> None:
         """Withdraws the harness of all processes alike, by their means."""
-        self._falls, self._still = mean(self._falls), mean(self._still)
-        self._set(mean(self.scale))
+        self._falls, self._share = mean(self._falls), mean(self._share)
+        self._set(mean(self.scales))
+
+
+def _asked_and_done(env: Env) -> tuple[Tensor, Tensor]:
+    """How much each env is commanded to do, and how much of it is done; [N] each, in the unit of its command: speed in
+    m/s, yaw rate in rad/s, or 1 for standing with both feet on the ground."""
+    skill, turn = env.commands.skill, env.commands.velocity[:, 2]
+    turns, stands = skill == SKILLS.index("turning"), skill == SKILLS.index("standing")
+    asked, done = commanded_and_walked(env)
+    asked = torch.where(turns, turn.abs(), asked).masked_fill(stands, 1.0)
+    yaw_rate = -(env.signals.projected_gravity_b * env.signals.root_ang_vel_b).sum(dim=1)
+    done = torch.where(turns, yaw_rate * turn.sign(), done)
+    return asked, torch.where(stands, both_feet_down(env), done)
 
 
 class StrengthenRewards(CurriculumTerm):
@@ -337,7 +370,8 @@ class StrengthenRewards(CurriculumTerm):
 
 
 class VaryCommands(CurriculumTerm):
-    """Curriculum: robots are asked to stand, to turn and to walk in other directions as the harness is withdrawn.
+    """Curriculum: robots are asked to stand, to turn and to walk in other directions as the first part of the harness
+    is withdrawn.
 
     To stand is a skill of its own, learnt while something still holds the robot: one that walks unaided marches on,
     because on the way from marching to standing it falls. But a robot that has not learnt to step yet learns from such
@@ -347,14 +381,17 @@ class VaryCommands(CurriculumTerm):
 
     Args:
         event: Name of the `Harness` event.
+        part: Share of the harness with whose withdrawal commands are as varied as they will be.
     """
 
-    def __init__(self, env: Env, event: str = "harness") -> None:
-        self._harness = Harness.of(env, event)
+    def __init__(
+        self, env: Env, event: str = "harness", part: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.5
+    ) -> None:
+        self._harness, self._part = Harness.of(env, event), part
 
     def begin(self, env: Env) -> None:
         """Sets the variety of the first commands."""
-        env.commands.variety = self._harness.withdrawn
+        env.commands.variety = (self._harness.withdrawn / self._part).clamp(max=1.0)
 
     def step(self, env: Env) -> Tensor:
         """Sets the variety of commands; returns it."""
