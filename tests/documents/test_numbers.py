@@ -69,17 +69,17 @@ def withdrawal() -> tuple[str, str]:
     return f"{withdrawal_setting('falls_per_second'):g}", f"{100 * withdrawal_setting('speed_share'):g}"
 
 
-def standing_withdrawal() -> tuple[str, str]:
-    """Falls per second, and percentage of the time with both feet down, at which robots that stand lose it."""
-    falls, still = (default(harness.StandingHarnessCurriculum, name) for name in ("falls_per_second", "still_share"))
-    return f"{falls:g}", f"{100 * still:g}"
+def skill_withdrawal() -> tuple[str, str]:
+    """Falls per second, and percentage of what is commanded, at which robots lose the harness of a skill."""
+    falls, share = (default(harness.SkillHarnessCurriculum, name) for name in ("falls_per_second", "share"))
+    return f"{falls:g}", f"{100 * share:g}"
 
 
 CLAIMS: dict[tuple[str, str], Callable[[], tuple[str, ...]]] = {
     (
         "method.md",
-        r"they fall less than (\S+) times per second \*and\* have both feet on the ground for more than (\S+) % of",
-    ): standing_withdrawal,
+        r"who do it fall less than (\S+) times per second \*and\* do more than (\S+) % of what is asked",
+    ): skill_withdrawal,
     ("method.md", r"(\S+) m \(half a foot\), (\S+) N, (\S+) per second"): lambda: (
         f"{regulariser('sigma'):.2f}",
         f"{regulariser('epsilon'):g}",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from humoslope.errors import UserError
 from humoslope.managers import CommandManager, VelocityCommandCfg, commanded_and_walked
-from humoslope.managers.command import MODES
+from humoslope.managers.command import MODES, SKILLS
 
 N = 1000
 STEERED = VelocityCommandCfg(
@@ -224,8 +224,11 @@ def modes_of(velocity):
 
 
 def test_every_mode_has_its_share_of_the_commands_to_move_and_stays_in_its_range(make_commands):
-    velocity = make_commands(EVERY_WAY, num_envs=20_000, free=True).velocity
+    commands = make_commands(EVERY_WAY, num_envs=20_000, free=True)
+    velocity = commands.velocity
     kinds = modes_of(velocity)
+    for i, name in enumerate(SKILLS):
+        assert kinds[name].equal(commands.skill == i)
     assert kinds["standing"].float().mean().item() == pytest.approx(0.1, abs=0.01)
     for name, share in ALL.items():
         assert kinds[name].float().mean().item() == pytest.approx(0.9 * share, abs=0.015), name

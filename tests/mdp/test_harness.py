@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from humoslope.errors import UserError
 from humoslope.managers import TermCfg, Terms
+from humoslope.managers.command import SKILLS
 from humoslope.managers.terms import bind
 from humoslope.mdp.harness import (
     Harness,
     HarnessCurriculum,
-    StandingHarnessCurriculum,
+    SkillHarnessCurriculum,
     StrengthenRewards,
     VaryCommands,
 )
@@ -327,94 +328,143 @@ def test_strictness_bears_more_falls_than_the_harness_but_no_standing(withdrawal
     assert harness.strictness.item() == pytest.approx(10 * 0.05 * withdrawal.env.step_dt, rel=1e-3)
 
 
-# Withdrawal from robots that stand
+def test_where_skills_have_harnesses_of_their_own_only_robots_that_walk_ahead_count(withdrawal):
+    """The other two of four robots fall and stand."""
+    withdrawal.term = withdrawal.make(rate=0.01)
+    withdrawal.env.events["harness"].skill_scales = torch.ones(4)
+    withdrawal.env.commands.skill = torch.tensor([0, 0, 1, 4])
+    withdrawal.env.terminations = SimpleNamespace(terminated=torch.tensor([False, False, True, True]))
+    walked = withdrawal.env.commands.velocity * torch.tensor([1.0, 1.0, 0.0, 0.0])[:, None]
+    withdrawal.env.signals = SimpleNamespace(root_lin_vel_t=walked)
+    for _ in range(500):
+        withdrawal.term.step(withdrawal.env)
+    state = withdrawal.term.state_dict()
+    assert state["scale"] < 1.0
+    assert state["speed"] == pytest.approx(1.0, abs=0.01)
+
+
+# Withdrawal by skill
 
 
 @pytest.fixture
-def standers(bare):
-    """standers(steps, falling, still): the scale after so many steps in which the first two of four robots are
-    commanded to stand: one falls, or both have both feet on the ground. The others do the opposite."""
-    env = bare(4, commands=SimpleNamespace(moving=torch.tensor([False, False, True, True])))
+def skilled(bare):
+    """skilled(steps, skill="turning", share=0.8, falling=False): the scales after so many steps of five robots of which
+    each is commanded one of `SKILLS`, and does all of it without falling; but the robot of `skill` does `share` of it,
+    or falls."""
+    command = SimpleNamespace(asks_for=lambda mode: True, standing_share=0.2)
+    velocity = torch.tensor([[0.5, 0.0, 0.1], [-0.3, 0.0, 0.1], [0.0, 0.4, 0.1], [0.0, 0.0, -0.6], [0.0, 0.0, 0.0]])
+    commands = SimpleNamespace(velocity=velocity, skill=torch.arange(5), variety=torch.ones(()))
+    commands.moving = commands.skill < 4
+    curves = {}
+    env = bare(5, commands=commands, log=SimpleNamespace(add=lambda name, value: curves.update({name: value.item()})))
+    env.cfg.command = command
     env.events = {"harness": Harness(env), "push": lambda env, mask: None}
+    down = torch.tensor([0.0, 0.0, -1.0])
 
-    def stand(steps, falling=False, still=True):
-        env.terminations = SimpleNamespace(terminated=torch.tensor([falling, False, not falling, not falling]))
-        feet = torch.tensor([[True, still], [True, still], [not still] * 2, [not still] * 2])
-        env.signals = SimpleNamespace(foot_contact=feet)
+    def practise(steps, skill="forward", share=1.0, falling=False):
+        i = SKILLS.index(skill)
+        shares = torch.ones(5)
+        shares[i] = share
+        env.terminations = SimpleNamespace(terminated=torch.zeros(5, dtype=torch.bool))
+        env.terminations.terminated[i] = falling
+        linear = torch.cat([velocity[:, :2] * shares[:, None], torch.ones(5, 1)], dim=1)  # [5, 3]
+        env.signals = SimpleNamespace(
+            root_lin_vel_t=linear,
+            projected_gravity_b=down.expand(5, 3),
+            root_ang_vel_b=-down * (velocity[:, 2] * shares)[:, None],
+            foot_contact=(shares > 0.5)[:, None].expand(5, 2),
+        )
         for _ in range(steps):
-            scale = stand.term.step(env)
-        assert scale is stand.term.scale
-        assert scale is env.events["harness"].standing_scale
-        return scale.item()
+            mean = practise.term.step(env)
+        scales = practise.term.scales
+        assert scales is env.events["harness"].skill_scales
+        assert mean.item() == pytest.approx(scales.mean().item())
+        return dict(zip(SKILLS[1:], scales.tolist(), strict=True))
 
-    stand.env = env
-    stand.make = lambda **params: StandingHarnessCurriculum(env, **{"rate": 0.01, "memory_s": 1.0, **params})
-    stand.term = stand.make()
-    return stand
-
-
-def test_robots_that_stand_lose_it_at_its_rate_however_the_others_fall_and_step(standers):
-    assert standers(20) == 1.0
-    before = standers(400)
-    assert 0.0 < before < 1.0
-    assert standers(500) == pytest.approx(before - 0.01 * 10.0, abs=1e-4)
-    assert standers(10_000) == 0.0
-    assert standers.env.events["harness"].scale == 1.0
+    practise.env, practise.curves = env, curves
+    practise.make = lambda **params: SkillHarnessCurriculum(env, **{"rate": 0.01, "memory_s": 1.0, **params})
+    practise.term = practise.make()
+    return practise
 
 
-@pytest.mark.parametrize("wrong", [{"falling": True}, {"still": False}])
-def test_robots_that_fall_or_step_keep_it(standers, wrong):
-    assert standers(1000, **wrong) == 1.0
-    standers(1000)
-    standers(100, **wrong)
-    held = standers(1, **wrong)
+def test_robots_lose_it_at_its_rate_as_they_do_what_they_are_asked(skilled):
+    assert set(skilled(20).values()) == {1.0}
+    before = skilled(400)
+    assert all(0.0 < scale < 1.0 for scale in before.values())
+    after = skilled(500)
+    for skill in SKILLS[1:]:
+        assert after[skill] == pytest.approx(before[skill] - 0.01 * 10.0, abs=1e-4)
+        assert skilled.curves[f"Skill/{skill}"] == pytest.approx(1.0, abs=1e-3)
+        assert skilled.curves[f"Harness/{skill}"] == pytest.approx(after[skill])
+    assert set(skilled(10_000).values()) == {0.0}
+    assert skilled.env.events["harness"].scale == 1.0
+
+
+@pytest.mark.parametrize("skill", SKILLS[1:])
+@pytest.mark.parametrize("wrong", [{"falling": True}, {"share": 0.5}, {"share": -1.0}])
+def test_who_falls_or_does_less_than_asked_keeps_it_and_nobody_else_does(skilled, skill, wrong):
+    after = skilled(1000, skill, **wrong)
+    assert after.pop(skill) == 1.0
+    assert max(after.values()) < 1.0
+    skilled(1000)
+    skilled(100, skill, **wrong)
+    held = skilled(1, skill, **wrong)[skill]
     assert 0.0 < held < 1.0
-    assert standers(500, **wrong) == held
+    assert skilled(500, skill, **wrong)[skill] == held
 
 
-def test_nothing_is_learnt_of_standing_while_nobody_is_asked_to(standers):
-    standers(400)
-    before = standers.term.state_dict()
-    standers.env.commands.moving = torch.ones(4, dtype=torch.bool)
-    standers(50, falling=True, still=False)
-    assert standers.term.state_dict() == before
+def test_nothing_is_withdrawn_before_commands_are_as_varied_as_they_will_be(skilled):
+    skilled.env.commands.variety = torch.tensor(0.99)
+    assert set(skilled(1000).values()) == {1.0}
 
 
-def test_withdrawal_from_standing_robots_goes_on_where_its_state_was_taken_and_is_shared(standers):
-    standers(700)
-    state = standers.term.state_dict()
-    assert all(isinstance(value, float) for value in state.values())
-    expected = [standers(1) for _ in range(5)]
-    standers.env.events["harness"] = Harness(standers.env)
-    standers.term = standers.make()
-    standers.term.load_state_dict(state)
-    assert [standers(1) for _ in range(5)] == pytest.approx(expected, abs=1e-6)
-    mine, other = standers.term.state_dict(), iter([0.4, 0.2, 0.1])  # falls, still and scale in the other process
-    standers.term.average(lambda value: 0.5 * (value + next(other)))
-    assert standers.term.state_dict() == pytest.approx(
-        {
-            "falls": 0.5 * (mine["falls"] + 0.4),
-            "still": 0.5 * (mine["still"] + 0.2),
-            "scale": 0.5 * (mine["scale"] + 0.1),
-        }
-    )
-    assert standers.env.events["harness"].standing_scale is standers.term.scale
+def test_nothing_is_learnt_of_what_nobody_is_commanded_to_do(skilled):
+    skilled(400)
+    before = skilled.term.state_dict()
+    skilled.env.commands.skill = torch.tensor([0, 1, 2, 0, 0])
+    skilled(50, "turning", share=0.0, falling=True)
+    after = skilled.term.state_dict()
+    for name in before:
+        assert after[name][2:] == before[name][2:]
+    assert after["scale"][:2] < before["scale"][:2]
 
 
-def test_each_robot_is_held_by_what_it_is_asked_to_do_and_from_the_start_by_the_stronger(bare, bodies, g1):
-    env = bare(2, commands=SimpleNamespace(moving=torch.tensor([True, False])))
-    lying = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(2, 1)
-    env.signals = SimpleNamespace(torso_quat_w=lying, torso_ang_vel_w=torch.ones(2, 3))
+def test_what_a_task_never_commands_needs_no_harness(skilled):
+    skilled.env.cfg.command = SimpleNamespace(asks_for=lambda mode: mode == "turning", standing_share=0.0)
+    assert skilled.make().scales.tolist() == [0.0, 0.0, 1.0, 0.0]
+
+
+def test_withdrawal_by_skill_goes_on_where_its_state_was_taken_and_is_shared(skilled):
+    skilled(700)
+    state = skilled.term.state_dict()
+    assert all(isinstance(value, list) for value in state.values())
+    expected = [skilled(1)["turning"] for _ in range(5)]
+    skilled.env.events["harness"] = Harness(skilled.env)
+    skilled.term = skilled.make()
+    skilled.term.load_state_dict(state)
+    assert [skilled(1)["turning"] for _ in range(5)] == pytest.approx(expected, abs=1e-6)
+    mine, others = skilled.term.state_dict(), iter([0.4, 0.2, 0.1])  # falls, shares and scales in the other process
+    skilled.term.average(lambda value: 0.5 * (value + next(others)))
+    shared = skilled.term.state_dict()
+    for name, other in (("falls", 0.4), ("share", 0.2), ("scale", 0.1)):
+        assert shared[name] == pytest.approx([0.5 * (value + other) for value in mine[name]])
+    assert skilled.env.events["harness"].skill_scales is skilled.term.scales
+
+
+def test_each_robot_is_held_by_what_it_is_asked_to_do_and_from_the_start_by_the_strongest(bare, bodies, g1):
+    env = bare(3, commands=SimpleNamespace(skill=torch.tensor([0, 4, 2])))
+    lying = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(3, 1)
+    env.signals = SimpleNamespace(torso_quat_w=lying, torso_ang_vel_w=torch.ones(3, 3))
     harness = Harness(env, damping=10.0)
-    harness.scale, harness.standing_scale = torch.tensor(0.25), torch.tensor(0.5)
-    harness(env, torch.ones(2, dtype=torch.bool))
+    harness.scale, harness.skill_scales = torch.tensor(0.25), torch.tensor([0.0, 0.75, 1.0, 0.5])
+    harness(env, torch.ones(3, dtype=torch.bool))
     wrench, (root, torso) = env.sim.state("xfrc_applied"), bodies
-    np.testing.assert_allclose(wrench[:, root, 2], 0.35 * WEIGHT * np.array([0.25, 0.5]), rtol=1e-6)
-    np.testing.assert_allclose(wrench[:, torso, 3], [-2.5, -5.0], rtol=1e-6)
-    env.start_qpos, env.start_qvel = torch.zeros(2, g1.nq), torch.zeros(2, g1.nv)
-    env.start_qpos[:, 3], env.start_wrench = 1.0, torch.zeros(2, g1.nbody, 6)
-    harness.reset(torch.ones(2, dtype=torch.bool))
-    np.testing.assert_allclose(env.start_wrench[:, root, 2], 0.35 * WEIGHT * 0.5, rtol=1e-6)
+    np.testing.assert_allclose(wrench[:, root, 2], 0.35 * WEIGHT * np.array([0.25, 0.5, 0.75]), rtol=1e-6)
+    np.testing.assert_allclose(wrench[:, torso, 3], [-2.5, -5.0, -7.5], rtol=1e-6)
+    env.start_qpos, env.start_qvel = torch.zeros(3, g1.nq), torch.zeros(3, g1.nv)
+    env.start_qpos[:, 3], env.start_wrench = 1.0, torch.zeros(3, g1.nbody, 6)
+    harness.reset(torch.ones(3, dtype=torch.bool))
+    np.testing.assert_allclose(env.start_wrench[:, root, 2], 0.35 * WEIGHT, rtol=1e-6)
 
 
 # Rewards and commands that grow with the training
@@ -451,11 +501,13 @@ def test_a_strict_reward_that_does_not_exist_and_an_event_that_is_no_harness_are
         bind("curriculum", "strict_rewards", term, env)
 
 
-def test_commands_vary_as_the_harness_is_withdrawn(bare):
+@pytest.mark.parametrize(("scale", "variety"), [(1.0, 0.0), (0.7, 0.6), (0.5, 1.0), (0.0, 1.0)])
+def test_commands_vary_as_the_first_half_of_the_harness_is_withdrawn(bare, scale, variety):
     env = bare(2, commands=SimpleNamespace())
-    env.events = {"harness": Harness(env, scale=0.7), "push": object()}
-    assert VaryCommands(env).step(env).item() == pytest.approx(0.3)
-    assert env.commands.variety.item() == pytest.approx(0.3)
+    env.events = {"harness": Harness(env, scale=scale), "push": object()}
+    assert VaryCommands(env).step(env).item() == pytest.approx(variety)
+    assert env.commands.variety.item() == pytest.approx(variety)
+    assert VaryCommands(env, part=1.0).step(env).item() == pytest.approx(1.0 - scale)
     with pytest.raises(UserError, match="event 'push' is not a Harness"):
         VaryCommands(env, event="push")
 

@@ -82,8 +82,10 @@ class Harness(StatefulTerm):
 
     def held_by_scale(self, env: Env) -> Tensor:
         """Mask [N] of the envs that `scale` holds."""
-        forward = env.commands.skill == SKILLS.index("forward")
-        return torch.ones_like(forward) if self.skill_scales is None else forward
+        if self.skill_scales is None:
+            return torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
+        forward: Tensor = env.commands.skill == SKILLS.index("forward")
+        return forward
 
     @property
     def withdrawn(self) -> Tensor:
