@@ -222,8 +222,7 @@ def stage1() -> TaskCfg:
             events=randomisation(),
             curriculum=Terms(
                 harness=harness_curriculum(),
-                skill_harness=TermCfg(harness.SkillHarnessCurriculum),
-                variety=TermCfg(harness.VaryCommands),
+                skills=TermCfg(harness.SkillCurriculum),
                 fine_rewards=TermCfg(harness.StrengthenRewards, {"rewards": FINE, "by": "withdrawn"}),
                 strict_rewards=TermCfg(harness.StrengthenRewards, {"rewards": STRICT}),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),

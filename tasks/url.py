@@ -89,8 +89,7 @@ def url_literal() -> TaskCfg:
             events=randomisation(),
             curriculum=Terms(
                 harness=harness_curriculum(),
-                skill_harness=TermCfg(harness.SkillHarnessCurriculum),
-                variety=TermCfg(harness.VaryCommands),
+                skills=TermCfg(harness.SkillCurriculum),
                 terrain_levels=TermCfg(curricula.TerrainLevels, {"harness": "harness"}),
             ),
         ),

@@ -28,7 +28,6 @@ OWN = ("humoslope.mdp", "humoslope.managers")
 
 RENAMED: dict[str, str] = {
     "humoslope.mdp.gallant:joint_vel_l2": "humoslope.mdp.unitree_rl_lab:joint_vel_l2",
-    "humoslope.mdp.harness:StandingHarnessCurriculum": "humoslope.mdp.harness:SkillHarnessCurriculum",
     "humoslope.mdp.isaac_lab:AccelerationOfJointsL2": "humoslope.mdp.rewards:JointAccelerationL2",
     "humoslope.mdp.isaac_lab:limits_of_joints": "humoslope.mdp.rewards:joint_pos_limits",
 }

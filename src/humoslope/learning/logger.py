@@ -22,7 +22,7 @@ SHOWN = {
     "falls/s": "Train/falls_per_second",
     "m/s": "Train/speed",
     "harness": "Curriculum/harness",
-    "skills": "Curriculum/skill_harness",
+    "skills": "Curriculum/skills",
     "level": "Curriculum/terrain_levels",
     "std": "Policy/mean_std",
 }

@@ -266,7 +266,7 @@ def provenance_of(path: Path, state: Mapping[str, Any]) -> Provenance:
 
 def _provenance(record: Mapping[str, Any]) -> Provenance:
     curriculum, parent = record["curriculum"], record["parent"]
-    scales = [curriculum[name]["scale"] for name in ("harness", "skill_harness") if name in curriculum]
+    scales = [curriculum[name]["scale"] for name in ("harness", "skills") if name in curriculum]
     left = [float(scale) for some in scales for scale in (some if isinstance(some, list) else [some])]
     return Provenance(
         path=Path(record["path"]),

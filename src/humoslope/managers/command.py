@@ -101,9 +101,9 @@ class CommandManager:
 
     Attributes:
         velocity: [N, 3] commanded velocity: forward and left in m/s along the ground, yaw rate in rad/s.
-        variety: How far commands have moved from forward ones, a scalar tensor in [0, 1], for curricula; 1 at first.
-            Commands backward and sideways point this share of the way round from ahead, and commands to turn lie at
-            this share of the way from a forward one; this share of those to stand is kept.
+        variety: [4] how far commands of each of `SKILLS` but forward have moved from forward ones, in [0, 1], for
+            curricula; 1 at first. Commands backward and sideways point this share of the way round from ahead, and
+            commands to turn lie at this share of the way from a forward one; this share of those to stand is kept.
     """
 
     def __init__(self, env: Env, cfg: VelocityCommandCfg) -> None:
@@ -117,7 +117,8 @@ class CommandManager:
         self._heading = env.zeros()  # [N] rad, the target on tiles that are walked in any direction
         self._stands = env.zeros(dtype=torch.bool)  # [N]
         self._mode = env.zeros(dtype=torch.int64)  # [N] in MODES, of the latest command to move
-        self.variety = torch.ones((), device=env.device)
+        self.variety = torch.ones(len(SKILLS) - 1, device=env.device)
+        self._round = torch.tensor([torch.pi, 0.5 * torch.pi], device=env.device)  # rad, from ahead to back and side
         self._steps_left = env.zeros()  # [N] control steps until the next draw, whole numbers
         ranges = torch.tensor([cfg.speed, cfg.lateral, cfg.yaw_rate, steps], device=env.device)
         self._low, self._high = ranges.unbind(dim=1)  # [4]
@@ -155,7 +156,7 @@ class CommandManager:
         if self.cfg.modes:
             mode, velocity, steers = self._in_modes(velocity, steers)
             self._mode = torch.where(mask, mode, self._mode)
-        self._stands = torch.where(mask, random[:, 4] < self.cfg.standing_share * self.variety, self._stands)
+        self._stands = torch.where(mask, random[:, 4] < self.cfg.standing_share * self.variety[3], self._stands)
         self._steers = torch.where(mask, steers, self._steers)
         self._yaw_rate = torch.where(mask, velocity[:, 2], self._yaw_rate)
         self._heading = torch.where(mask, self._env.signals.heading_w, self._heading)
@@ -178,13 +179,13 @@ class CommandManager:
         side = torch.where(random[:, 2] < 0.5, -1.0, 1.0)
         yaw_rate = torch.where(turning, side * size[:, 2], velocity[:, 2])
         # Not straight from ahead to back: halfway, a command to move would be one to stand, and be obeyed for good.
-        speed = torch.lerp(velocity[:, :1], size[:, :2], self.variety)  # [N, 2] of backward and of sideways
-        rest = 1.0 - self.variety
-        round_ = 0.5 * torch.pi * rest  # what is left to a quarter of a turn, rad
-        ahead = round_.sin() * speed[:, 1] * sideways - (2.0 * round_).cos() * speed[:, 0] * backward
-        aside = round_.cos() * speed[:, 1] * sideways + (2.0 * round_).sin() * speed[:, 0] * backward
-        linear = torch.stack([ahead, side * aside], dim=1) + rest * velocity[:, :2] * turning[:, None]
-        other = torch.cat([linear, torch.lerp(velocity[:, 2], yaw_rate, self.variety)[:, None]], dim=1)
+        speed = torch.lerp(velocity[:, :1], size[:, :2], self.variety[:2])  # [N, 2] of backward and of sideways
+        round_ = self.variety[:2] * self._round  # [2] rad, from ahead
+        which = torch.stack([backward, sideways], dim=1) * speed  # [N, 2]
+        ahead, aside = which @ round_.cos(), side * (which @ round_.sin())
+        turn = self.variety[2]
+        linear = torch.stack([ahead, aside], dim=1) + (1.0 - turn) * velocity[:, :2] * turning[:, None]
+        other = torch.cat([linear, torch.lerp(velocity[:, 2], yaw_rate, turn)[:, None]], dim=1)
         return mode, torch.where((mode > 0)[:, None], other, velocity), steers & ~turning
 
     def _steer(self, linear: Tensor) -> None:

@@ -148,7 +148,7 @@ class GoalCommand(CommandManager):
         cfg, tiles = self.cfg, self._env.tiles
         random = torch.rand(self._env.num_envs, 4, device=self._env.device)
         asked = torch.lerp(self._low[:2], self._high[:2], random[:, :2])
-        stands = random[:, 2] < cfg.standing_share * self.variety
+        stands = random[:, 2] < cfg.standing_share * self.variety[3]
         place, start = self._env.signals.root_pos_w[:, :2], tiles.origin_w[:, :2]
         way = asked * (cfg.time_s - cfg.stay_s)
         line = start[:, 1] if cfg.lateral_gain > 0.0 else place[:, 1]

@@ -6,7 +6,7 @@ It exists in training alone: no evaluation configures it, and a run that used it
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 import torch
@@ -17,7 +17,7 @@ from humoslope.managers.command import MODES, SKILLS, commanded_and_walked
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.managers.terms import StatefulTerm
 from humoslope.mdp.standing import both_feet_down
-from humoslope.ranges import NotNegative, Positive, Range, Share
+from humoslope.ranges import NotNegative, Positive, Share
 from humoslope.slope import quaternion, zmp
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ class _Chain:
 
 class HarnessCurriculum(CurriculumTerm):
     """Curriculum: the harness is withdrawn while the robots hardly fall and really walk; then more is asked of them.
-    With a `SkillHarnessCurriculum`, robots are those that are commanded to walk ahead.
+    With a `SkillCurriculum`, robots are those that are commanded to walk ahead.
 
     First things first: a robot that has to climb, to bear pushes and to step rarely while its support goes, falls ever
     more often, and keeps the rest of its support.
@@ -245,25 +245,28 @@ class HarnessCurriculum(CurriculumTerm):
         self._harness.scale, self._harness.strictness = mean(self._harness.scale), mean(self._harness.strictness)
 
 
-class SkillHarnessCurriculum(CurriculumTerm):
-    """Curriculum: robots that are commanded to walk backward, to a side, to turn or to stand lose the harness by how
-    they do that, each sort by itself, and not by how the others walk ahead.
+class SkillCurriculum(CurriculumTerm):
+    """Curriculum: robots learn to walk backward, to a side, to turn and to stand, each in a harness of its own.
 
-    These are skills of their own. A robot that walks ahead unaided and is commanded to stand, but cannot, marches on
-    the spot: it does not fall, and never learns it. One that falls when it walks backward soon stands still instead.
-    Nothing is withdrawn before commands are as varied as they will be.
+    First the commands change, and then the harness goes, while the robots that have such a command hardly fall and do
+    what they are asked. Commands to walk turn away from ahead little by little: a robot that only knows how to walk
+    forward earns next to nothing for a command to walk backward, whatever it does about it, and stands still. One that
+    falls when it walks backward soon stands still as well. Commands to stand come last, with the second half of the
+    harness of the others: whoever learns to stand before it walks in every direction, stands instead. And a robot that
+    walks unaided and is commanded to stand, but cannot, marches on the spot: it does not fall, and never learns it.
 
     Attributes:
         scales: [4] present scale of the harness for each of `SKILLS` but forward.
 
     Args:
         event: Name of the `Harness` event.
-        rate: Scale withdrawn per second of training time in one env.
-        falls_per_second: Falls per env and second, of the envs with such a command, from which the harness is left as
-            it is.
-        share: Share of what is commanded up to which it is left as it is: of the speed, of the yaw rate, or of the time
-            to stand with both feet on the ground.
-        memory_s: Time over which both are averaged, s.
+        rate: Variety of commands (`CommandManager.variety`) added, and scale withdrawn, per second of training time in
+            one env.
+        falls_per_second: Falls per env and second, of the envs with such a command, from which both are left as they
+            are.
+        share: Share of what is commanded up to which both are left as they are: of the speed, of the yaw rate, or of
+            the time to stand with both feet on the ground.
+        memory_s: Time over which falls and share are averaged, s.
     """
 
     def __init__(
@@ -278,16 +281,24 @@ class SkillHarnessCurriculum(CurriculumTerm):
         self._harness, self._rate = Harness.of(env, event), rate
         self._most_falls, self._least_share = falls_per_second, share
         self._keep = max(0.0, 1.0 - env.step_dt / memory_s)
-        command = env.cfg.command
         self._places = torch.arange(1, len(SKILLS), device=env.device)
+        self._stands = self._places == SKILLS.index("standing")
+        command = env.cfg.command
         asked = [*(command.asks_for(mode) for mode in MODES[1:]), command.standing_share > 0.0]
+        self._asked = torch.tensor(asked, device=env.device)
         # Starts as if every robot fell and none could do it: nothing is withdrawn before they have proven themselves.
         self._falls = torch.ones(len(asked), device=env.device)  # per second
         self._share = torch.zeros(len(asked), device=env.device)
-        self._set(self._harness.scale * torch.tensor(asked, device=env.device))
+        self._variety = torch.zeros(len(asked), device=env.device)
+        self._set(self._harness.scale * self._asked)
+
+    def begin(self, env: Env) -> None:
+        """Sets the variety of the first commands."""
+        env.commands.variety = self._variety
 
     def step(self, env: Env) -> Tensor:
-        """Withdraws a little where it is deserved; returns the mean scale."""
+        """Asks for more, or withdraws a little, where it is deserved; returns how far all skills have come: 1 when they
+        are done unaided."""
         asked, done = _asked_and_done(env)
         each = torch.stack([torch.ones_like(asked), asked, done, env.terminations.terminated.to(asked.dtype)])  # [4, N]
         of_skill = (env.commands.skill[:, None] == self._places).to(each.dtype)  # [N, 4]
@@ -299,29 +310,35 @@ class SkillHarnessCurriculum(CurriculumTerm):
         self._falls = torch.lerp(falls, self._falls, self._keep)
         self._share = torch.lerp(share, self._share, self._keep)
         deserved = there & (self._falls < self._most_falls) & (self._share > self._least_share)
-        deserved = deserved & (env.commands.variety >= 1.0)
-        self._set((self.scales - self._rate * env.step_dt * deserved).clamp(min=0.0))
+        ready = deserved & (self._variety >= 1.0)
+        self._set((self.scales - self._rate * env.step_dt * ready).clamp(min=0.0))
+        learnt = self._variety + self._rate * env.step_dt * deserved
+        second_half = 2.0 * self._harness.withdrawn - 1.0
+        self._variety = torch.where(self._stands, second_half, learnt).clamp(0.0, 1.0)
+        self.begin(env)
         for i, skill in enumerate(SKILLS[1:]):
             env.log.add(f"Skill/{skill}", self._share[i])
+            env.log.add(f"Variety/{skill}", self._variety[i])
             env.log.add(f"Harness/{skill}", self.scales[i])
-        return self.scales.mean()
+        return (0.5 * (self._variety + 1.0 - self.scales) * self._asked).sum() / self._asked.sum().clamp(min=1)
 
     def _set(self, scales: Tensor) -> None:
         self.scales = self._harness.skill_scales = scales
 
     def state_dict(self) -> dict[str, Any]:
-        """Scales, fall rates and shares."""
-        return {"scale": self.scales.tolist(), "falls": self._falls.tolist(), "share": self._share.tolist()}
+        """Scales, variety, fall rates and shares."""
+        tensors = {"scale": self.scales, "variety": self._variety, "falls": self._falls, "share": self._share}
+        return {name: value.tolist() for name, value in tensors.items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores the result of `state_dict`."""
-        device = self._falls.device
-        self._set(torch.tensor(state["scale"], device=device))
-        self._falls, self._share = (torch.tensor(state[name], device=device) for name in ("falls", "share"))
+        restored = {name: torch.tensor(value, device=self._falls.device) for name, value in state.items()}
+        self._set(restored["scale"])
+        self._variety, self._falls, self._share = (restored[name] for name in ("variety", "falls", "share"))
 
     def average(self, mean: Callable[[Tensor], Tensor]) -> None:
-        """Withdraws the harness of all processes alike, by their means."""
-        self._falls, self._share = mean(self._falls), mean(self._share)
+        """Asks for as much, and withdraws as much, in all processes, by their means."""
+        self._variety, self._falls, self._share = mean(self._variety), mean(self._falls), mean(self._share)
         self._set(mean(self.scales))
 
 
@@ -369,33 +386,3 @@ class StrengthenRewards(CurriculumTerm):
         for name in self._rewards:
             env.rewards.set_strength(name, strength)
         return strength
-
-
-class VaryCommands(CurriculumTerm):
-    """Curriculum: robots are asked to stand, to turn and to walk in other directions as the first part of the harness
-    is withdrawn.
-
-    To stand is a skill of its own, learnt while something still holds the robot: one that walks unaided marches on,
-    because on the way from marching to standing it falls. But a robot that has not learnt to step yet learns from such
-    commands that standing still is worth something. And one that only knows how to walk forward earns next to nothing
-    for a command to walk backward, whatever it does about it; commands that turn away from ahead little by little are
-    followed.
-
-    Args:
-        event: Name of the `Harness` event.
-        part: Share of the harness with whose withdrawal commands are as varied as they will be.
-    """
-
-    def __init__(
-        self, env: Env, event: str = "harness", part: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.5
-    ) -> None:
-        self._harness, self._part = Harness.of(env, event), part
-
-    def begin(self, env: Env) -> None:
-        """Sets the variety of the first commands."""
-        env.commands.variety = (self._harness.withdrawn / self._part).clamp(max=1.0)
-
-    def step(self, env: Env) -> Tensor:
-        """Sets the variety of commands; returns it."""
-        self.begin(env)
-        return env.commands.variety
