@@ -689,19 +689,18 @@ def test_harness_and_levels_come_back_from_a_state_and_all_envs_start_on_their_t
         assert other.tiles.level.equal(expected)  # no world moves before its episode has ended
 
 
-def test_the_first_commands_of_a_run_are_as_varied_as_its_harness_is_withdrawn(
+def test_the_first_commands_of_a_run_are_as_varied_as_its_curriculum_says(
     make_stage1: Callable[..., ManagerBasedRlEnv],
 ) -> None:
     def stand(cfg: EnvCfg) -> None:
         cfg.command.standing_share = 1.0
 
     env = make_stage1(8, stand)
-    assert env.commands.variety == 0.0
+    assert not env.commands.variety.any()
     assert env.commands.moving.all()
     state = env.state_dict()
-    state["curriculum"]["harness"]["scale"] = 0.0
+    state["curriculum"]["skills"]["variety"] = [0.0, 0.0, 0.0, 1.0]
     env.load_state_dict(state)
-    assert env.commands.variety == 1.0
     assert not env.commands.moving.any()
 
 

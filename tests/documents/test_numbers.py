@@ -71,7 +71,7 @@ def withdrawal() -> tuple[str, str]:
 
 def skill_withdrawal() -> tuple[str, str]:
     """Falls per second, and percentage of what is commanded, at which robots lose the harness of a skill."""
-    falls, share = (default(harness.SkillHarnessCurriculum, name) for name in ("falls_per_second", "share"))
+    falls, share = (default(harness.SkillCurriculum, name) for name in ("falls_per_second", "share"))
     return f"{falls:g}", f"{100 * share:g}"
 
 

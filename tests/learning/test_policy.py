@@ -75,7 +75,7 @@ def test_networks_of_every_preset_act_as_they_did_in_training(
         ({}, None, "no harness"),
         ({"harness": {"scale": 0.0}}, 0.0, "which was gone at this checkpoint"),
         ({"harness": {"scale": 0.25}}, 0.25, "still had 25 % of its strength"),
-        ({"harness": {"scale": 0.0}, "skill_harness": {"scale": [0.0, 0.5]}}, 0.5, "still had 50 % of its strength"),
+        ({"harness": {"scale": 0.0}, "skills": {"scale": [0.0, 0.5]}}, 0.5, "still had 50 % of its strength"),
     ],
 )
 def test_a_checkpoint_says_whether_a_harness_helped(

@@ -383,7 +383,8 @@ def test_variety_takes_commands_from_forward_to_what_their_mode_asks_for(make_co
     sizes = {"backward": (0.3, 0.3), "sideways": (0.3, 0.3), "turning": (0.6, 0.6)}
     cfg = VelocityCommandCfg(standing_share=0.0, heading_share=0.0, modes={mode: 1.0}, **exact, **sizes)
     commands = make_commands(cfg, free=True)
-    commands.variety = torch.tensor(variety)
+    of_skill = torch.tensor([name == mode for name in SKILLS[1:]])
+    commands.variety = torch.where(of_skill, variety, torch.rand(4))  # the others' do not matter
     commands.reset(torch.ones(N, dtype=torch.bool))
     errors = []
     for side in (-1.0, 1.0):
@@ -396,6 +397,6 @@ def test_variety_takes_commands_from_forward_to_what_their_mode_asks_for(make_co
 def test_fewer_robots_are_asked_to_stand_without_variety(make_commands):
     commands = make_commands(VelocityCommandCfg(standing_share=0.5), free=True)
     for variety in (0.0, 0.4, 1.0):
-        commands.variety = torch.tensor(variety)
+        commands.variety = torch.tensor([0.0, 0.0, 0.0, variety])
         commands.reset(torch.ones(N, dtype=torch.bool))
         assert (~commands.moving).float().mean().item() == pytest.approx(0.5 * variety, abs=0.05)

@@ -19,9 +19,8 @@ from humoslope.managers.terms import bind
 from humoslope.mdp.harness import (
     Harness,
     HarnessCurriculum,
-    SkillHarnessCurriculum,
+    SkillCurriculum,
     StrengthenRewards,
-    VaryCommands,
 )
 
 WEIGHT = 33.0 * 9.81
@@ -343,18 +342,17 @@ def test_where_skills_have_harnesses_of_their_own_only_robots_that_walk_ahead_co
     assert state["speed"] == pytest.approx(1.0, abs=0.01)
 
 
-# Withdrawal by skill
+# Skills
 
 
 @pytest.fixture
 def skilled(bare):
-    """skilled(steps, skill="turning", share=0.8, falling=False): the scales after so many steps of five robots of which
-    each is commanded one of `SKILLS`, and does all of it without falling; but the robot of `skill` does `share` of it,
-    or falls."""
+    """skilled(steps, skill="turning", share=0.8, falling=False): the scales by skill after so many steps of five robots
+    of which each is commanded one of `SKILLS`, and does all of it without falling; but the robot of `skill` does only
+    `share` of it, or falls. The harness of those that walk ahead is gone."""
     command = SimpleNamespace(asks_for=lambda mode: True, standing_share=0.2)
     velocity = torch.tensor([[0.5, 0.0, 0.1], [-0.3, 0.0, 0.1], [0.0, 0.4, 0.1], [0.0, 0.0, -0.6], [0.0, 0.0, 0.0]])
-    commands = SimpleNamespace(velocity=velocity, skill=torch.arange(5), variety=torch.ones(()))
-    commands.moving = commands.skill < 4
+    commands = SimpleNamespace(velocity=velocity, skill=torch.arange(5), moving=torch.arange(5) < 4, variety=None)
     curves = {}
     env = bare(5, commands=commands, log=SimpleNamespace(add=lambda name, value: curves.update({name: value.item()})))
     env.cfg.command = command
@@ -367,24 +365,32 @@ def skilled(bare):
         shares[i] = share
         env.terminations = SimpleNamespace(terminated=torch.zeros(5, dtype=torch.bool))
         env.terminations.terminated[i] = falling
-        linear = torch.cat([velocity[:, :2] * shares[:, None], torch.ones(5, 1)], dim=1)  # [5, 3]
         env.signals = SimpleNamespace(
-            root_lin_vel_t=linear,
+            root_lin_vel_t=torch.cat([velocity[:, :2] * shares[:, None], torch.ones(5, 1)], dim=1),  # [5, 3]
             projected_gravity_b=down.expand(5, 3),
             root_ang_vel_b=-down * (velocity[:, 2] * shares)[:, None],
             foot_contact=(shares > 0.5)[:, None].expand(5, 2),
         )
         for _ in range(steps):
-            mean = practise.term.step(env)
-        scales = practise.term.scales
-        assert scales is env.events["harness"].skill_scales
-        assert mean.item() == pytest.approx(scales.mean().item())
-        return dict(zip(SKILLS[1:], scales.tolist(), strict=True))
+            practise.progress = practise.term.step(env).item()
+        assert practise.term.scales is env.events["harness"].skill_scales
+        return dict(zip(SKILLS[1:], practise.term.scales.tolist(), strict=True))
 
-    practise.env, practise.curves = env, curves
-    practise.make = lambda **params: SkillHarnessCurriculum(env, **{"rate": 0.01, "memory_s": 1.0, **params})
-    practise.term = practise.make()
+    def make(varied=True, **params):
+        env.events["harness"].scale = torch.ones(())
+        term = SkillCurriculum(env, **{"rate": 0.01, "memory_s": 1.0, **params})
+        env.events["harness"].scale = torch.zeros(())
+        if varied:
+            term.load_state_dict(term.state_dict() | {"variety": [1.0] * 4})
+        term.begin(env)
+        return term
+
+    practise.env, practise.curves, practise.make, practise.term = env, curves, make, make()
     return practise
+
+
+def varieties(env):
+    return dict(zip(SKILLS[1:], env.commands.variety.tolist(), strict=True))
 
 
 def test_robots_lose_it_at_its_rate_as_they_do_what_they_are_asked(skilled):
@@ -397,7 +403,7 @@ def test_robots_lose_it_at_its_rate_as_they_do_what_they_are_asked(skilled):
         assert skilled.curves[f"Skill/{skill}"] == pytest.approx(1.0, abs=1e-3)
         assert skilled.curves[f"Harness/{skill}"] == pytest.approx(after[skill])
     assert set(skilled(10_000).values()) == {0.0}
-    assert skilled.env.events["harness"].scale == 1.0
+    assert skilled.progress == 1.0
 
 
 @pytest.mark.parametrize("skill", SKILLS[1:])
@@ -413,9 +419,32 @@ def test_who_falls_or_does_less_than_asked_keeps_it_and_nobody_else_does(skilled
     assert skilled(500, skill, **wrong)[skill] == held
 
 
-def test_nothing_is_withdrawn_before_commands_are_as_varied_as_they_will_be(skilled):
-    skilled.env.commands.variety = torch.tensor(0.99)
-    assert set(skilled(1000).values()) == {1.0}
+@pytest.mark.parametrize("skill", SKILLS[1:4])
+@pytest.mark.parametrize("wrong", [{"falling": True}, {"share": 0.5}])
+def test_commands_turn_as_far_as_they_are_followed_before_any_harness_goes(skilled, skill, wrong):
+    skilled.term = skilled.make(varied=False)
+    assert set(varieties(skilled.env).values()) == {0.0}
+    skilled(1000, skill, **wrong)
+    after = varieties(skilled.env)
+    assert after.pop(skill) == 0.0
+    assert after.pop("standing") == 1.0
+    for variety in after.values():
+        assert variety == pytest.approx(0.2, abs=0.03)
+    for name in SKILLS[1:]:
+        assert skilled.curves[f"Variety/{name}"] == pytest.approx(varieties(skilled.env)[name])
+    walks = [name for name in SKILLS[1:4] if name != skill]
+    assert [skilled(1)[name] for name in walks] == [1.0] * 2
+    skilled(6000)
+    assert set(varieties(skilled.env).values()) == {1.0}
+    assert max(skilled(1000).values()) < 1.0
+
+
+@pytest.mark.parametrize(("scale", "variety"), [(1.0, 0.0), (0.5, 0.0), (0.3, 0.4), (0.0, 1.0)])
+def test_robots_are_asked_to_stand_as_the_second_half_of_the_others_harness_goes(skilled, scale, variety):
+    skilled.term = skilled.make(varied=False)
+    skilled.env.events["harness"].scale = torch.tensor(scale)
+    skilled(1)
+    assert varieties(skilled.env)["standing"] == pytest.approx(variety)
 
 
 def test_nothing_is_learnt_of_what_nobody_is_commanded_to_do(skilled):
@@ -431,22 +460,29 @@ def test_nothing_is_learnt_of_what_nobody_is_commanded_to_do(skilled):
 
 def test_what_a_task_never_commands_needs_no_harness(skilled):
     skilled.env.cfg.command = SimpleNamespace(asks_for=lambda mode: mode == "turning", standing_share=0.0)
-    assert skilled.make().scales.tolist() == [0.0, 0.0, 1.0, 0.0]
+    skilled.term = skilled.make()
+    assert skilled.term.scales.tolist() == [0.0, 0.0, 1.0, 0.0]
+    skilled(1)
+    assert skilled.progress == pytest.approx(0.5)
 
 
-def test_withdrawal_by_skill_goes_on_where_its_state_was_taken_and_is_shared(skilled):
+def test_only_a_harness_can_hold_skills(skilled):
+    with pytest.raises(UserError, match="event 'push' is not a Harness"):
+        SkillCurriculum(skilled.env, event="push")
+
+
+def test_skills_go_on_where_their_state_was_taken_and_are_shared(skilled):
     skilled(700)
     state = skilled.term.state_dict()
     assert all(isinstance(value, list) for value in state.values())
     expected = [skilled(1)["turning"] for _ in range(5)]
-    skilled.env.events["harness"] = Harness(skilled.env)
-    skilled.term = skilled.make()
+    skilled.term = skilled.make(varied=False)
     skilled.term.load_state_dict(state)
     assert [skilled(1)["turning"] for _ in range(5)] == pytest.approx(expected, abs=1e-6)
-    mine, others = skilled.term.state_dict(), iter([0.4, 0.2, 0.1])  # falls, shares and scales in the other process
+    mine, others = skilled.term.state_dict(), iter([0.3, 0.4, 0.2, 0.1])
     skilled.term.average(lambda value: 0.5 * (value + next(others)))
     shared = skilled.term.state_dict()
-    for name, other in (("falls", 0.4), ("share", 0.2), ("scale", 0.1)):
+    for name, other in (("variety", 0.3), ("falls", 0.4), ("share", 0.2), ("scale", 0.1)):
         assert shared[name] == pytest.approx([0.5 * (value + other) for value in mine[name]])
     assert skilled.env.events["harness"].skill_scales is skilled.term.scales
 
@@ -499,17 +535,6 @@ def test_a_strict_reward_that_does_not_exist_and_an_event_that_is_no_harness_are
     term = TermCfg(StrengthenRewards, {"rewards": ("landings",), "by": "strict"})
     with pytest.raises(UserError, match="by is 'strict'; it must be 'withdrawn' or 'strictness'"):
         bind("curriculum", "strict_rewards", term, env)
-
-
-@pytest.mark.parametrize(("scale", "variety"), [(1.0, 0.0), (0.7, 0.6), (0.5, 1.0), (0.0, 1.0)])
-def test_commands_vary_as_the_first_half_of_the_harness_is_withdrawn(bare, scale, variety):
-    env = bare(2, commands=SimpleNamespace())
-    env.events = {"harness": Harness(env, scale=scale), "push": object()}
-    assert VaryCommands(env).step(env).item() == pytest.approx(variety)
-    assert env.commands.variety.item() == pytest.approx(variety)
-    assert VaryCommands(env, part=1.0).step(env).item() == pytest.approx(1.0 - scale)
-    with pytest.raises(UserError, match="event 'push' is not a Harness"):
-        VaryCommands(env, event="push")
 
 
 BENT_AT_REST = """

@@ -71,7 +71,7 @@ def test_world_friction_randomisation_and_harness_are_those_of_the_other_baselin
         *("command", "observations", "rewards", "terminations", "curriculum")
     }
     # Goals are always to be walked to.
-    assert set(theirs["curriculum"]) - set(own["curriculum"]) == {"variety", "skill_harness"}
+    assert set(theirs["curriculum"]) - set(own["curriculum"]) == {"skills"}
     for same in ("harness", "terrain_levels"):
         assert own["curriculum"][same] == theirs["curriculum"][same]
     for same in ("time_out", "off_tile"):

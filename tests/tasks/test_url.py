@@ -74,7 +74,7 @@ def test_robot_ground_commands_randomisation_and_harness_are_those_of_stage_1() 
     own, ours = plain(build_task(LITERAL)), plain(build_task("HumoSlope-Stage1-Unitree-G1"))
     for same in ("actions", "sim", "command", "events", "episode_length_s"):
         assert own["env"][same] == ours["env"][same]
-    for same in ("harness", "skill_harness", "variety", "terrain_levels"):
+    for same in ("harness", "skills", "terrain_levels"):
         assert own["env"]["curriculum"][same] == ours["env"]["curriculum"][same]
     assert own["env"]["scene"] == ours["env"]["scene"]
     assert own["env"]["observations"]["actor"] == ours["env"]["observations"]["actor"]

@@ -118,7 +118,6 @@ class CommandManager:
         self._stands = env.zeros(dtype=torch.bool)  # [N]
         self._mode = env.zeros(dtype=torch.int64)  # [N] in MODES, of the latest command to move
         self.variety = torch.ones(len(SKILLS) - 1, device=env.device)
-        self._round = torch.tensor([torch.pi, 0.5 * torch.pi], device=env.device)  # rad, from ahead to back and side
         self._steps_left = env.zeros()  # [N] control steps until the next draw, whole numbers
         ranges = torch.tensor([cfg.speed, cfg.lateral, cfg.yaw_rate, steps], device=env.device)
         self._low, self._high = ranges.unbind(dim=1)  # [4]
@@ -180,11 +179,15 @@ class CommandManager:
         yaw_rate = torch.where(turning, side * size[:, 2], velocity[:, 2])
         # Not straight from ahead to back: halfway, a command to move would be one to stand, and be obeyed for good.
         speed = torch.lerp(velocity[:, :1], size[:, :2], self.variety[:2])  # [N, 2] of backward and of sideways
-        round_ = self.variety[:2] * self._round  # [2] rad, from ahead
-        which = torch.stack([backward, sideways], dim=1) * speed  # [N, 2]
-        ahead, aside = which @ round_.cos(), side * (which @ round_.sin())
+        to_back, to_side = (
+            torch.pi * (1.0 - self.variety[0]),
+            0.5 * torch.pi * (1.0 - self.variety[1]),
+        )  # rad, still to go
+        back, aside = speed[:, 0] * backward, speed[:, 1] * sideways
+        ahead = to_side.sin() * aside - to_back.cos() * back
+        left = side * (to_side.cos() * aside + to_back.sin() * back)
         turn = self.variety[2]
-        linear = torch.stack([ahead, aside], dim=1) + (1.0 - turn) * velocity[:, :2] * turning[:, None]
+        linear = torch.stack([ahead, left], dim=1) + (1.0 - turn) * velocity[:, :2] * turning[:, None]
         other = torch.cat([linear, torch.lerp(velocity[:, 2], yaw_rate, turn)[:, None]], dim=1)
         return mode, torch.where((mode > 0)[:, None], other, velocity), steers & ~turning
 
