@@ -101,7 +101,7 @@ def base_rewards() -> Terms[RewardTermCfg]:
     return Terms(
         track_velocity=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
         track_velocity_finely=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.25}, weight=2.0),
-        track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=1.0),
+        track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=3.0),
         track_turns=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.6}, weight=1.5),
         alive=RewardTermCfg(rewards.alive, weight=0.15),
         fall=RewardTermCfg(rewards.fall, weight=-100.0),

@@ -275,7 +275,7 @@ class SkillCurriculum(CurriculumTerm):
         event: str = "harness",
         rate: NotNegative = 0.0083,
         falls_per_second: NotNegative = 0.1,
-        share: Share = 0.6,
+        share: Share = 0.5,
         memory_s: Positive = 10.0,
     ) -> None:
         self._harness, self._rate = Harness.of(env, event), rate
