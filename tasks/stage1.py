@@ -95,14 +95,14 @@ def base_rewards() -> Terms[RewardTermCfg]:
 
     Changed terms: velocity and height refer to the ground; the pelvis may lean with the slope; time on one leg replaces
     a gait clock that the policy cannot observe; a fall costs; joint velocities do not. Of the weights only those of
-    alive, angular velocity, energy and body contact are Unitree's. Speed and turning have a second reward each, for
-    robots that walk already; it is so wide that the sway of a walking body does not drown the error.
+    alive, angular velocity, energy and body contact are Unitree's. Speed and turning have a second, narrower reward each,
+    for robots that walk already; both are so wide that the sway of a walking body does not drown the error.
     """
     return Terms(
         track_velocity=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
         track_velocity_finely=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.25}, weight=2.0),
-        track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=3.0),
-        track_turns=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.6}, weight=1.5),
+        track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.6}, weight=3.0),
+        track_yaw_rate_finely=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=1.0),
         alive=RewardTermCfg(rewards.alive, weight=0.15),
         fall=RewardTermCfg(rewards.fall, weight=-100.0),
         slope_normal_velocity=RewardTermCfg(rewards.slope_normal_velocity_l2, weight=-1.0),
@@ -140,14 +140,14 @@ def all_directions(**changes: Any) -> VelocityCommandCfg:
         yaw_rate=(-0.6, 0.6),
         standing_share=0.2,
         resample_s=(4.0, 10.0),
-        modes={"forward": 0.4, "backward": 0.2, "sideways": 0.2, "turning": 0.2},
+        modes={"forward": 0.1, "backward": 0.3, "sideways": 0.3, "turning": 0.3},
         backward=(0.2, 0.5),
         sideways=(0.2, 0.5),
         **changes,
     )
 
 
-FINE = ("track_velocity_finely", "track_turns")
+FINE = ("track_velocity_finely", "track_yaw_rate_finely")
 """Rewards for following commands closely, which grow as the harness goes and commands vary."""
 
 STRICT = ("knee_flexion", "foot_clearance", "action_acc", "landings")
