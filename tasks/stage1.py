@@ -95,8 +95,8 @@ def base_rewards() -> Terms[RewardTermCfg]:
 
     Changed terms: velocity and height refer to the ground; the pelvis may lean with the slope; time on one leg replaces
     a gait clock that the policy cannot observe; a fall costs; joint velocities do not. Of the weights only those of
-    alive, angular velocity, energy and body contact are Unitree's. Speed and turning have a second, narrower reward each,
-    for robots that walk already; both are so wide that the sway of a walking body does not drown the error.
+    alive, angular velocity, energy and body contact are Unitree's. Speed and turning have a second, narrower reward
+    each, for robots that walk already; the first is so wide that the sway of a walking body does not drown the error.
     """
     return Terms(
         track_velocity=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
