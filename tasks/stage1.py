@@ -95,14 +95,13 @@ def base_rewards() -> Terms[RewardTermCfg]:
 
     Changed terms: velocity and height refer to the ground; the pelvis may lean with the slope; time on one leg replaces
     a gait clock that the policy cannot observe; a fall costs; joint velocities do not. Of the weights only those of
-    alive, angular velocity, energy and body contact are Unitree's. Speed and turning have a second, narrower reward
-    each, for robots that walk already; the first is so wide that the sway of a walking body does not drown the error.
+    alive, angular velocity, energy and body contact are Unitree's. Speed has a second, narrower reward, for robots that
+    walk already.
     """
     return Terms(
         track_velocity=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.35}, weight=2.0),
         track_velocity_finely=RewardTermCfg(rewards.track_slope_velocity_exp, {"std": 0.25}, weight=2.0),
-        track_yaw_rate=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.6}, weight=3.0),
-        track_yaw_rate_finely=RewardTermCfg(rewards.track_yaw_rate_exp, {"std": 0.3}, weight=1.0),
+        track_yaw_rate=RewardTermCfg(rewards.TrackMeanYawRate, {"std": 0.35, "memory_s": 0.4}, weight=3.0),
         alive=RewardTermCfg(rewards.alive, weight=0.15),
         fall=RewardTermCfg(rewards.fall, weight=-100.0),
         slope_normal_velocity=RewardTermCfg(rewards.slope_normal_velocity_l2, weight=-1.0),
@@ -147,7 +146,7 @@ def all_directions(**changes: Any) -> VelocityCommandCfg:
     )
 
 
-FINE = ("track_velocity_finely", "track_yaw_rate_finely")
+FINE = ("track_velocity_finely",)
 """Rewards for following commands closely, which grow as the harness goes and commands vary."""
 
 STRICT = ("knee_flexion", "foot_clearance", "action_acc", "landings")

@@ -249,11 +249,12 @@ class SkillCurriculum(CurriculumTerm):
     """Curriculum: robots learn to walk backward, to a side, to turn and to stand, each in a harness of its own.
 
     First the commands change, and then the harness goes, while the robots that have such a command hardly fall and do
-    what they are asked. Commands to walk turn away from ahead little by little: a robot that only knows how to walk
-    forward earns next to nothing for a command to walk backward, whatever it does about it, and stands still. One that
-    falls when it walks backward soon stands still as well. Commands to stand come last, with the second half of the
-    harness of the others: whoever learns to stand before it walks in every direction, stands instead. And a robot that
-    walks unaided and is commanded to stand, but cannot, marches on the spot: it does not fall, and never learns it.
+    what they are asked. Commands to walk turn away from ahead little by little, and back where they are not followed: a
+    robot that only knows how to walk forward earns next to nothing for a command to walk backward, whatever it does
+    about it, and stands still. One that falls when it walks backward soon stands still as well. Commands to stand come
+    last, with the second half of that turn: whoever learns to stand before it walks in every direction, stands instead.
+    And a robot that walks unaided and is commanded to stand, but cannot, marches on the spot: it does not fall, and
+    never learns it.
 
     Attributes:
         scales: [4] present scale of the harness for each of `SKILLS` but forward.
@@ -266,6 +267,7 @@ class SkillCurriculum(CurriculumTerm):
             are.
         share: Share of what is commanded up to which both are left as they are: of the speed, of the yaw rate, or of
             the time to stand with both feet on the ground.
+        lost_share: Share below which variety is taken back at the same rate.
         memory_s: Time over which falls and share are averaged, s.
     """
 
@@ -276,20 +278,20 @@ class SkillCurriculum(CurriculumTerm):
         rate: NotNegative = 0.0083,
         falls_per_second: NotNegative = 0.1,
         share: Share = 0.5,
+        lost_share: Share = 0.4,
         memory_s: Positive = 10.0,
     ) -> None:
         self._harness, self._rate = Harness.of(env, event), rate
-        self._most_falls, self._least_share = falls_per_second, share
+        self._most_falls, self._least_share, self._lost_share = falls_per_second, share, lost_share
         self._keep = max(0.0, 1.0 - env.step_dt / memory_s)
         self._places = torch.arange(1, len(SKILLS), device=env.device)
-        self._stands = self._places == SKILLS.index("standing")
         command = env.cfg.command
         asked = [*(command.asks_for(mode) for mode in MODES[1:]), command.standing_share > 0.0]
         self._asked = torch.tensor(asked, device=env.device)
         # Starts as if every robot fell and none could do it: nothing is withdrawn before they have proven themselves.
         self._falls = torch.ones(len(asked), device=env.device)  # per second
         self._share = torch.zeros(len(asked), device=env.device)
-        self._variety = torch.zeros(len(asked), device=env.device)
+        self._variety = (~self._asked).float()  # what is never asked counts as learnt
         self._set(self._harness.scale * self._asked)
 
     def begin(self, env: Env) -> None:
@@ -312,9 +314,11 @@ class SkillCurriculum(CurriculumTerm):
         deserved = there & (self._falls < self._most_falls) & (self._share > self._least_share)
         ready = deserved & (self._variety >= 1.0)
         self._set((self.scales - self._rate * env.step_dt * ready).clamp(min=0.0))
-        learnt = self._variety + self._rate * env.step_dt * deserved
-        second_half = 2.0 * self._harness.withdrawn - 1.0
-        self._variety = torch.where(self._stands, second_half, learnt).clamp(0.0, 1.0)
+        lost = there & (self._share < self._lost_share)
+        change = self._rate * env.step_dt * (deserved.float() - lost.float())
+        walks = (self._variety + change)[:-1].clamp(0.0, 1.0)
+        stands = (2.0 * walks.mean() - 1.0).clamp(min=0.0)
+        self._variety = torch.cat([walks, stands[None]])
         self.begin(env)
         for i, skill in enumerate(SKILLS[1:]):
             env.log.add(f"Skill/{skill}", self._share[i])

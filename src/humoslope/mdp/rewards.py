@@ -40,8 +40,37 @@ def track_yaw_rate_exp(env: Env, std: Positive) -> Tensor:
     Args:
         std: Error at which the reward has fallen to 1/e, rad/s.
     """
-    about_gravity = (env.signals.projected_gravity_b * env.signals.root_ang_vel_b).sum(dim=1)
-    return torch.exp((env.commands.velocity[:, 2] + about_gravity).square() / -(std**2))
+    return torch.exp((env.commands.velocity[:, 2] - _yaw_rate(env)).square() / -(std**2))
+
+
+def _yaw_rate(env: Env) -> Tensor:
+    """Angular velocity of the root about the vertical, [N] rad/s."""
+    return -(env.signals.projected_gravity_b * env.signals.root_ang_vel_b).sum(dim=1)
+
+
+class TrackMeanYawRate(StatefulTerm):
+    """Reward for turning about the vertical as commanded, on average over the last steps.
+
+    A walking body sways about the vertical by more than most commands ask for. In the mean over a stride that is gone,
+    and what is left is how it turns.
+
+    Args:
+        std: Mean error at which the reward has fallen to 1/e, rad/s.
+        memory_s: Time constant of the mean, s.
+    """
+
+    def __init__(self, env: Env, std: Positive, memory_s: Positive) -> None:
+        self._std, self._keep = std, max(0.0, 1.0 - env.step_dt / memory_s)
+        self._error = env.zeros()  # [N] rad/s
+
+    def __call__(self, env: Env) -> Tensor:
+        error = env.commands.velocity[:, 2] - _yaw_rate(env)
+        self._error = torch.lerp(error, self._error, self._keep)
+        return torch.exp(self._error.square() / -(self._std**2))
+
+    def reset(self, mask: Tensor) -> None:
+        """Forgets the error of the envs in `mask`."""
+        self._error = self._error.masked_fill(mask, 0.0)
 
 
 def alive(env: Env) -> Tensor:
