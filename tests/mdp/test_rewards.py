@@ -83,6 +83,23 @@ def test_turning_is_measured_about_the_vertical_however_the_pelvis_leans(make_en
     assert rewards.track_yaw_rate_exp(env, std=0.5).item() == pytest.approx(math.exp(-1.0), abs=1e-5)
 
 
+@pytest.mark.parametrize(("rate", "asked"), [(0.3, 0.3), (0.0, 0.4), (-0.2, 0.3)])
+def test_a_sway_is_gone_in_the_mean_yaw_rate_and_an_error_is_not(make_env, rate, asked):
+    """A sway of 1 rad/s with a period of 0.4 s about a constant rate."""
+    env = make_env(1, commands=command(0.0, 0.0, asked))
+    term = rewards.TrackMeanYawRate(env, std=0.5, memory_s=0.4)
+    rewarded = []
+    for i in range(300):
+        turn = rate + math.sin(2.0 * math.pi * i * env.step_dt / 0.4)
+        gravity, spin = torch.tensor([[0.0, 0.0, -1.0]]), torch.tensor([[0.0, 0.0, turn]])
+        env.signals = SimpleNamespace(projected_gravity_b=gravity, root_ang_vel_b=spin)
+        rewarded.append(term(env).item())
+    assert np.mean(rewarded[-100:]) == pytest.approx(math.exp(-(((rate - asked) / 0.5) ** 2)), abs=0.08)
+    term.reset(torch.tensor([True]))
+    env.commands = command(0.0, 0.0, turn)
+    assert term(env).item() == pytest.approx(1.0, abs=1e-6)
+
+
 # Posture
 
 
