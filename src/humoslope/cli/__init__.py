@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from functools import partial
 from importlib import import_module
 from types import FrameType
 from typing import Any, TextIO, cast
@@ -73,7 +72,9 @@ def main(arguments: list[str] | None = None) -> int:
         # A training sees to its terminal itself.
         reading = nullcontext() if prints_only or verb == "train" else _without_readers()
         with handled(_stop), explained_extras(verb), reading:
-            run: Callable[[list[str]], None] = _verb(verb) if verb in VERBS else partial(_tell, verb)
+            run: Callable[[list[str]], None] = (
+                _verb(verb) if verb in VERBS else _print_version if verb == VERSION else _print_help
+            )
             run(rest)
     except UserError as error:
         code, said = 2, str(error)
@@ -169,11 +170,11 @@ def _said_of_memory(error: Exception) -> str:
     return ""
 
 
-def _tell(asked: str, _: list[str]) -> None:
-    """Prints the version, or all verbs."""
-    if asked == VERSION:
-        print(f"humoslope {humoslope.__version__}")
-        return
+def _print_version(_: list[str]) -> None:
+    print(f"humoslope {humoslope.__version__}")
+
+
+def _print_help(_: list[str]) -> None:
     width = max(map(len, VERBS))
     print("humoslope VERB [...]; humoslope VERB --help lists its options.\n")
     for verb, line in VERBS.items():

@@ -138,7 +138,7 @@ def run(arguments: list[str]) -> None:
             guardian.dismiss()
         link.close()
         _report(console, session, link)
-        _save(console, options, contract, session, out)
+        _save(console, folder, contract, session, out)
     asked_for = ("stop was asked for", "the program was asked to end", f"{seconds:g} s are over")
     if session.state.reason not in asked_for:
         raise UserError(f"the motors were damped: {session.state.reason}.")
@@ -224,10 +224,10 @@ def _report(console: Console, session: Session, link: UnitreeLink) -> None:
     )
 
 
-def _save(console: Console, options: Options, contract: Contract, session: Session, out: Path) -> None:
+def _save(console: Console, folder: Path, contract: Contract, session: Session, out: Path) -> None:
     if len(session.ticks.time) < 3:
         console.print("the robot was never commanded; no walk was recorded", highlight=False)
         return
-    rollout, more = to_rollout(contracts.located(options.folder), contract, session.ticks, out.stem)
+    rollout, more = to_rollout(folder, contract, session.ticks, out.stem)
     rollout.save(out, **more)
     console.print(f"wrote {out}: `humoslope replay {out}` shows it", highlight=False, soft_wrap=True)

@@ -16,6 +16,7 @@ from humoslope.errors import UserError, require_not_negative, require_positive, 
 from humoslope.managers.command import MODES, SKILLS, commanded_and_walked
 from humoslope.managers.curriculum import CurriculumTerm
 from humoslope.managers.terms import StatefulTerm
+from humoslope.mdp.rewards import yaw_rate
 from humoslope.mdp.standing import both_feet_down
 from humoslope.ranges import NotNegative, Positive, Share
 from humoslope.slope import quaternion, zmp
@@ -353,8 +354,7 @@ def _asked_and_done(env: Env) -> tuple[Tensor, Tensor]:
     turns, stands = skill == SKILLS.index("turning"), skill == SKILLS.index("standing")
     asked, done = commanded_and_walked(env)
     asked = torch.where(turns, turn.abs(), asked).masked_fill(stands, 1.0)
-    yaw_rate = -(env.signals.projected_gravity_b * env.signals.root_ang_vel_b).sum(dim=1)
-    done = torch.where(turns, yaw_rate * turn.sign(), done)
+    done = torch.where(turns, yaw_rate(env) * turn.sign(), done)
     return asked, torch.where(stands, both_feet_down(env), done)
 
 

@@ -40,10 +40,10 @@ def track_yaw_rate_exp(env: Env, std: Positive) -> Tensor:
     Args:
         std: Error at which the reward has fallen to 1/e, rad/s.
     """
-    return torch.exp((env.commands.velocity[:, 2] - _yaw_rate(env)).square() / -(std**2))
+    return torch.exp((env.commands.velocity[:, 2] - yaw_rate(env)).square() / -(std**2))
 
 
-def _yaw_rate(env: Env) -> Tensor:
+def yaw_rate(env: Env) -> Tensor:
     """Angular velocity of the root about the vertical, [N] rad/s."""
     return -(env.signals.projected_gravity_b * env.signals.root_ang_vel_b).sum(dim=1)
 
@@ -64,7 +64,7 @@ class TrackMeanYawRate(StatefulTerm):
         self._error = env.zeros()  # [N] rad/s
 
     def __call__(self, env: Env) -> Tensor:
-        error = env.commands.velocity[:, 2] - _yaw_rate(env)
+        error = env.commands.velocity[:, 2] - yaw_rate(env)
         self._error = torch.lerp(error, self._error, self._keep)
         return torch.exp(self._error.square() / -(self._std**2))
 
